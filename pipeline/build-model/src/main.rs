@@ -1,0 +1,3 @@
+//! `build-model`: from a patient's segmented CT to a model package.
+
+fn main() {}

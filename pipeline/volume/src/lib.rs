@@ -1,0 +1,17 @@
+//! Reads a patient's label map and makes from it what every later stage shares.
+//!
+//! Makes: checked labels ([`LabelVolume`]), intensities ([`CtVolume`]) and, for the chosen organ, its structures
+//! and supports, one smooth signed field per body ([`Anatomy`]).
+//! From: NIfTI-1 and NIfTI-2 files.
+//! Refuses: files that are truncated, corrupt or claim sizes that they do not hold; singular or non-finite
+//! affines; intensity images given as labels; labels that are absent; organs too small to sample.
+//!
+//! Frame: patient RAS+ in millimetres. A voxel index (i, j, k) names the voxel's centre.
+
+mod affine;
+mod anatomy;
+mod field;
+
+pub use affine::Affine;
+pub use anatomy::{Anatomy, Body, CapPlane, ComponentInfo, RegionLabels, Structure, VoxelMask};
+pub use field::{Implicit, ScalarField};

@@ -1,0 +1,1 @@
+//! Whole-workspace tests: scan → package. The tests are in `tests/`.
