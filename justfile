@@ -1,0 +1,31 @@
+# What CI checks, in its order.
+check: test fmt clippy doc
+
+# The README's test command.
+test:
+    cargo test --release --workspace
+
+fmt:
+    cargo fmt --all -- --check
+
+clippy:
+    cargo clippy --release --workspace --all-targets -- -D warnings
+
+doc:
+    RUSTDOCFLAGS="-D warnings" cargo doc --release --workspace --no-deps
+
+# The bundled phantom: a package and a report to look at in out/.
+demo:
+    cargo run --release --bin build-model -- fixtures/files/kidney-labels.nii.gz --ct fixtures/files/kidney-ct.nii.gz --labels fixtures/files/labels.txt --organ kidney --structure tumour --support cradle -o out/kidney.palpate --report out/report
+
+# Every real case with default settings; prints the table of docs/benchmarks.md. Needs PALPATE_DATA.
+soak:
+    cargo run --release -p palpate-tests --bin soak
+
+# Times build-model as a whole process on the real cases. Needs PALPATE_DATA.
+bench:
+    cargo run --release -p palpate-tests --bin bench
+
+# Rewrites the golden records after a wanted change.
+update-golden:
+    PALPATE_UPDATE_GOLDEN=1 cargo test --release -p palpate-tests
