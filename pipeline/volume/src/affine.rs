@@ -66,7 +66,10 @@ impl Affine {
             out[r][..3].copy_from_slice(&inv[r]);
             out[r][3] = -(inv[r][0] * t[0] + inv[r][1] * t[1] + inv[r][2] * t[2]);
         }
-        out.iter().flatten().all(|v| v.is_finite()).then_some(Self { m: out })
+        out.iter()
+            .flatten()
+            .all(|v| v.is_finite())
+            .then_some(Self { m: out })
     }
 
     /// The affine of a crop whose index (0, 0, 0) is this volume's index `start`.

@@ -44,7 +44,12 @@ impl ScalarField {
         let m = margin as f64 * spacing_mm;
         let origin_mm = lo.map(|v| v - m);
         let dims = std::array::from_fn(|a| ((hi[a] + m - origin_mm[a]) / spacing_mm).ceil() as usize + 1);
-        let mut out = Self { dims, origin_mm, spacing_mm, values: Vec::new() };
+        let mut out = Self {
+            dims,
+            origin_mm,
+            spacing_mm,
+            values: Vec::new(),
+        };
         out.values = (0..dims[0] * dims[1] * dims[2])
             .map(|n| {
                 let (i, j, k) = (n % dims[0], n / dims[0] % dims[1], n / (dims[0] * dims[1]));
@@ -87,8 +92,11 @@ impl ScalarField {
     fn corners(&self, c: [usize; 3]) -> [f64; 8] {
         let [nx, ny, _] = self.dims;
         let b = self.index(c[0], c[1], c[2]);
-        let (dx, dy, dz) =
-            (usize::from(nx > 1), nx * usize::from(ny > 1), nx * ny * usize::from(self.dims[2] > 1));
+        let (dx, dy, dz) = (
+            usize::from(nx > 1),
+            nx * usize::from(ny > 1),
+            nx * ny * usize::from(self.dims[2] > 1),
+        );
         let v = &self.values;
         [
             v[b],
