@@ -5,11 +5,30 @@
 //! From: signed fields.
 //! Refuses: fields without an inside; meshes that cannot be made valid.
 
+mod embedding;
+mod error;
+mod faces;
+mod geometry;
+mod lattice;
+mod locate;
 mod mesh;
+mod params;
 mod quality;
+mod report;
+mod stage;
+mod stencil;
+mod stuffing;
+mod validate;
 
+pub use embedding::{EmbeddingReport, build_embedding};
+pub use error::TetError;
+pub use locate::TetLocator;
 pub use mesh::TetMesh;
+pub use params::{EmbeddingParams, FemParams};
 pub use quality::{
     HIGH_MARKS_DEG, HISTOGRAM_BIN_DEG, LOW_MARKS_DEG, MeshQuality, TET_EDGES, dihedral_angles, radius_ratio,
     tet_volume, volume_length_quality,
 };
+pub use report::{FemReport, InterfaceReport, PatternReport, RegionReport, StructureMode, TaggedStructure};
+pub use stage::build_fem;
+pub use validate::{InterfaceTopology, TetTopology, validate};

@@ -1,0 +1,162 @@
+use crate::stencil::{PATTERN_BOUNDS_DEG, PATTERNS};
+use crate::{MeshQuality, TetTopology};
+use serde::{Deserialize, Serialize};
+
+/// What one stencil made.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PatternReport {
+    /// Corners of the lattice tet: I inside, Z on the surface, O outside.
+    pub pattern: String,
+    /// Tets made.
+    pub tets: usize,
+    /// Smallest and largest dihedral angle found, degrees; `None` without tets.
+    pub dihedral_deg: Option<[f64; 2]>,
+    /// Proven bounds for the constants used, degrees.
+    pub bound_deg: [f64; 2],
+    /// Tets outside of the bounds: 0, or the implementation is broken.
+    pub violations: usize,
+}
+
+impl PatternReport {
+    /// An empty entry per stencil. The ordered rule has one bound for all stencils.
+    pub(crate) fn empty(ordered: bool) -> Vec<Self> {
+        PATTERNS
+            .iter()
+            .zip(PATTERN_BOUNDS_DEG)
+            .map(|(p, b)| Self {
+                pattern: p.0.into(),
+                tets: 0,
+                dihedral_deg: None,
+                bound_deg: if ordered && p.0 != "IIII" {
+                    [9.7767, 163.5684]
+                } else {
+                    [b.0, b.1]
+                },
+                violations: 0,
+            })
+            .collect()
+    }
+
+    /// Counts a tet with these angles.
+    pub(crate) fn add(&mut self, angles: [f64; 6]) {
+        let low = angles.iter().copied().fold(f64::INFINITY, f64::min);
+        let high = angles.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        self.tets += 1;
+        let d = self.dihedral_deg.get_or_insert([low, high]);
+        *d = [d[0].min(low), d[1].max(high)];
+        // The bounds are rounded to their last printed digit.
+        self.violations += usize::from(low < self.bound_deg[0] - 0.06 || high > self.bound_deg[1] + 0.06);
+    }
+}
+
+/// How a structure is held by the mesh.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum StructureMode {
+    /// Tets of its own; faces lie on its boundary.
+    Conforming,
+    /// Too thin for tets of its own: a share of the tets of its host.
+    Tagged,
+    /// It does not meet the organ.
+    Absent,
+}
+
+/// A structure that is too thin for tets of its own.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TaggedStructure {
+    /// Index of the structure.
+    pub structure: usize,
+    /// Share of each tet's volume that is this structure, 0–1.
+    #[serde(skip)]
+    pub tet_fraction: Vec<f32>,
+    /// Its thickness (largest twice-depth inside the organ), mm.
+    pub thickness_mm: f64,
+}
+
+/// One region of the mesh.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RegionReport {
+    /// Region: 0 the organ proper, n + 1 structure n.
+    pub region: usize,
+    /// How it is held; region 0 conforms.
+    pub mode: StructureMode,
+    /// Thickness of a structure (largest twice-depth inside the organ), mm; `None` for region 0.
+    pub thickness_mm: Option<f64>,
+    /// Its tets.
+    pub tets: usize,
+    /// Face-connected pieces.
+    pub components: usize,
+    /// Volume in the mesh, mm³.
+    pub volume_mm3: f64,
+    /// Volume aimed at, mm³, where one was given.
+    pub reference_mm3: Option<f64>,
+    /// (volume − reference) / reference, percent.
+    pub error_percent: Option<f64>,
+}
+
+/// How well the faces between a structure and its neighbours lie on its divider.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct InterfaceReport {
+    /// Index of the structure.
+    pub structure: usize,
+    /// Faces between it and other regions.
+    pub faces: usize,
+    /// RMS and largest distance of the faces (corners, edge middles, centroids; area-weighted) to the divider's
+    /// zero set, mm.
+    pub rms_mm: f64,
+    /// Largest such distance, mm.
+    pub max_mm: f64,
+    /// RMS over the lattice edge: at most 0.1.
+    pub rms_edges: f64,
+}
+
+/// What the FEM mesh is like and what was done to get it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FemReport {
+    /// Lattice edge, mm.
+    pub edge_mm: f64,
+    /// Tets asked for, `None` where the edge was given.
+    pub target_tets: Option<usize>,
+    /// Tets made.
+    pub tets: usize,
+    /// Vertices made.
+    pub vertices: usize,
+    /// Which dihedral bound holds where.
+    pub bound: String,
+    /// By stencil, for tets cut by one surface, before optimisation.
+    pub patterns: Vec<PatternReport>,
+    /// Lattice points moved onto the outer surface.
+    pub warped: usize,
+    /// Lattice tets with all corners on the outer surface: dropped.
+    pub zzzz_dropped: usize,
+    /// Tets with all corners on one divider: given to the side of their centroid.
+    pub zzzz_sided: usize,
+    /// Lattice points whose sign was changed where sheets of the surface touched.
+    pub sign_edits: usize,
+    /// Rounds that took.
+    pub mend_rounds: usize,
+    /// Face-connected pieces dropped, and their volume in mm³.
+    pub dropped_pieces: usize,
+    /// Volume of the dropped pieces, mm³.
+    pub dropped_mm3: f64,
+    /// Level of the organ's field that was stuffed (mm), so that the volume is right.
+    pub level_offset_mm: f64,
+    /// Level of each structure's divider (mm).
+    pub divider_offsets_mm: Vec<f64>,
+    /// Shapes before optimisation.
+    pub before: MeshQuality,
+    /// Shapes of the mesh as it is.
+    pub after: MeshQuality,
+    /// RMS and largest distance of the outer faces (corners, edge middles, centroids) to the organ's zero set, mm.
+    pub outer_rms_mm: f64,
+    /// Largest such distance, mm.
+    pub outer_max_mm: f64,
+    /// By region.
+    pub regions: Vec<RegionReport>,
+    /// By conforming structure.
+    pub interfaces: Vec<InterfaceReport>,
+    /// Structures too thin to conform.
+    pub tagged: Vec<TaggedStructure>,
+    /// Faces, boundary, pieces.
+    pub topology: TetTopology,
+}

@@ -1,0 +1,622 @@
+//! Isosurface stuffing over a uniform lattice (Labelle & Shewchuk 2007): sample, warp, cut, mend, keep one body.
+
+use crate::TetError;
+use crate::faces::{Components, FaceTable, non_manifold};
+use crate::geometry::{lerp, volume6};
+use crate::lattice::{LONG, Lattice, NEIGHBOURS};
+use crate::stencil::{Cutter, PATTERNS, cut_tet, lattice_diagonal, pattern_index};
+use palpate_volume::Implicit;
+use rayon::prelude::*;
+use rustc_hash::{FxHashMap, FxHashSet};
+
+/// Rounds of sign edits after which mending gives up.
+const MEND_ROUNDS: usize = 40;
+
+/// When a lattice point moves onto the surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct WarpRule {
+    /// Share of a long edge within which a cut attracts its end.
+    pub alpha_long: f64,
+    /// The same for short edges.
+    pub alpha_short: f64,
+    /// Outside points first, only towards inside points that are not attracted themselves.
+    pub ordered: bool,
+    /// Cut edges at the linear estimate instead of the true root.
+    pub linear: bool,
+}
+
+impl WarpRule {
+    /// Any order; dihedral angles within 9.31°–161.65°.
+    pub const ARBITRARY: Self = Self {
+        alpha_long: 0.24999,
+        alpha_short: 0.41189,
+        ordered: false,
+        linear: false,
+    };
+    /// Outside points first; dihedral angles within 9.77°–163.57°.
+    pub const ORDERED: Self = Self {
+        alpha_long: 0.24999,
+        alpha_short: 0.42978,
+        ordered: true,
+        linear: false,
+    };
+}
+
+/// Where a node of the cut mesh comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Source {
+    /// A lattice point (id), where it was laid or warped.
+    Lattice(u32),
+    /// The cut of the lattice edge between an inside and an outside point.
+    Cut(u32, u32),
+    /// Neither (made by a later cut).
+    Other,
+}
+
+/// A tet mesh that remembers its lattice.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Complex {
+    pub points: Vec<[f64; 3]>,
+    pub sources: Vec<Source>,
+    pub tets: Vec<[u32; 4]>,
+    /// Stencil that made each tet (index into [`PATTERNS`]).
+    pub patterns: Vec<u8>,
+}
+
+impl Complex {
+    #[inline]
+    pub fn corners(&self, t: [u32; 4]) -> [[f64; 3]; 4] {
+        t.map(|v| self.points[v as usize])
+    }
+
+    #[cfg(test)]
+    pub fn volume_mm3(&self) -> f64 {
+        self.tets.iter().map(|&t| volume6(self.corners(t))).sum::<f64>() / 6.0
+    }
+}
+
+/// What happened while stuffing one surface.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct StuffCounts {
+    /// Tets made by each of [`PATTERNS`].
+    pub patterns: [usize; PATTERNS.len()],
+    /// Lattice points moved onto the surface.
+    pub warped: usize,
+    /// Lattice tets with all corners on the surface: dropped.
+    pub zzzz: usize,
+    /// Lattice points whose sign was changed to part or join sheets that touch.
+    pub sign_edits: usize,
+    /// Rounds that took.
+    pub mend_rounds: usize,
+    /// Face-connected pieces dropped.
+    pub dropped_pieces: usize,
+    /// Their volume, mm³.
+    pub dropped_mm3: f64,
+}
+
+/// Root of `f − level` on the segment a–b whose end values have opposite signs; parameter from `a`.
+pub(crate) fn edge_root(f: &dyn Implicit, a: [f64; 3], b: [f64; 3], fa: f64, fb: f64, linear: bool) -> f64 {
+    let (mut lo, mut hi, mut flo, mut fhi) = (0.0, 1.0, fa, fb);
+    let guess = fa / (fa - fb);
+    if linear {
+        return guess;
+    }
+    // Illinois regula falsi: brackets the root always, converges fast where the field is smooth.
+    let tolerance = 1e-12 * (fa.abs() + fb.abs());
+    let mut t = guess;
+    let mut last = 0i8;
+    for step in 0..80 {
+        let v = f.value(lerp(a, b, t));
+        if v.is_nan() || v.abs() <= tolerance {
+            break;
+        }
+        if (v < 0.0) == (flo < 0.0) {
+            (lo, flo) = (t, v);
+            if last == -1 {
+                fhi *= 0.5;
+            }
+            last = -1;
+        } else {
+            (hi, fhi) = (t, v);
+            if last == 1 {
+                flo *= 0.5;
+            }
+            last = 1;
+        }
+        if hi - lo < 1e-12 {
+            break;
+        }
+        t = if step % 8 == 7 {
+            0.5 * (lo + hi)
+        } else {
+            lo + (hi - lo) * flo / (flo - fhi)
+        };
+        if !(t > lo && t < hi) {
+            t = 0.5 * (lo + hi);
+        }
+    }
+    t.clamp(1e-9, 1.0 - 1e-9)
+}
+
+/// The field on the lattice: values, signs and edge cuts, before any point moves.
+#[derive(Clone, Debug)]
+pub(crate) struct Samples {
+    pub lattice: Lattice,
+    pub values: Vec<f64>,
+    pub signs: Vec<i8>,
+    /// Parameter of the cut from the smaller id, per crossed edge.
+    cuts: FxHashMap<(u32, u32), f64>,
+    linear: bool,
+}
+
+impl Samples {
+    pub fn new(f: &dyn Implicit, lattice: Lattice, linear: bool) -> Result<Self, TetError> {
+        let values: Vec<f64> = (0..lattice.len() as u32)
+            .into_par_iter()
+            .with_min_len(512)
+            .map(|id| {
+                if lattice.is_point(id) {
+                    f.value(lattice.position(lattice.triple(id)))
+                } else {
+                    f64::INFINITY
+                }
+            })
+            .collect();
+        let signs: Vec<i8> = values
+            .iter()
+            .map(|&v| if v < 0.0 { -1 } else { i8::from(v > 0.0) })
+            .collect();
+        for (id, v) in values.iter().enumerate() {
+            if !v.is_finite() && lattice.is_point(id as u32) {
+                return Err(TetError::NotFinite {
+                    found: *v,
+                    position: lattice.position(lattice.triple(id as u32)),
+                });
+            }
+        }
+        if !signs.iter().any(|&s| s < 0) {
+            return Err(TetError::Empty {
+                edge_mm: lattice.edge_mm,
+            });
+        }
+        let mut out = Self {
+            lattice,
+            values,
+            signs,
+            cuts: FxHashMap::default(),
+            linear,
+        };
+        let found: Vec<Vec<((u32, u32), f64)>> = (0..out.lattice.len() as u32)
+            .collect::<Vec<_>>()
+            .par_chunks(1024)
+            .map(|ids| {
+                let mut list = Vec::new();
+                for &id in ids {
+                    if out.signs[id as usize] < 0 {
+                        out.for_each_neighbour(id, |n, _| {
+                            if out.signs[n as usize] > 0 {
+                                let t = out.root(f, id, n);
+                                list.push(if id < n { ((id, n), t) } else { ((n, id), 1.0 - t) });
+                            }
+                        });
+                    }
+                }
+                list
+            })
+            .collect();
+        out.cuts = found.into_iter().flatten().collect();
+        Ok(out)
+    }
+
+    #[inline]
+    fn for_each_neighbour(&self, id: u32, mut f: impl FnMut(u32, bool)) {
+        let t = self.lattice.triple(id);
+        for (k, d) in NEIGHBOURS.iter().enumerate() {
+            if let Some(n) = self.lattice.id([t[0] + d[0], t[1] + d[1], t[2] + d[2]]) {
+                f(n, k < LONG);
+            }
+        }
+    }
+
+    fn position(&self, id: u32) -> [f64; 3] {
+        self.lattice.position(self.lattice.triple(id))
+    }
+
+    fn root(&self, f: &dyn Implicit, a: u32, b: u32) -> f64 {
+        let (va, vb) = (self.values[a as usize], self.values[b as usize]);
+        if (va < 0.0) == (vb < 0.0) || va == 0.0 || vb == 0.0 {
+            // The sign of one end was changed: there is no root to find.
+            return 0.5;
+        }
+        edge_root(f, self.position(a), self.position(b), va, vb, self.linear)
+    }
+
+    /// Parameter of the cut seen from `a`.
+    #[inline]
+    fn cut(&self, a: u32, b: u32) -> Option<f64> {
+        if a < b {
+            self.cuts.get(&(a, b)).copied()
+        } else {
+            self.cuts.get(&(b, a)).map(|t| 1.0 - t)
+        }
+    }
+
+    /// Sets the sign of a lattice point and redoes the cuts around it.
+    fn edit_sign(&mut self, f: &dyn Implicit, id: u32, sign: i8) {
+        self.signs[id as usize] = sign;
+        let mut changes = Vec::new();
+        self.for_each_neighbour(id, |n, _| {
+            let key = (id.min(n), id.max(n));
+            let t =
+                (i32::from(self.signs[n as usize]) * i32::from(sign) < 0).then(|| self.root(f, key.0, key.1));
+            changes.push((key, t));
+        });
+        for (key, t) in changes {
+            match t {
+                Some(t) => self.cuts.insert(key, t),
+                None => self.cuts.remove(&key),
+            };
+        }
+    }
+}
+
+/// The lattice after warping: signs with 0 for moved points, and their places.
+pub(crate) struct Warped {
+    pub signs: Vec<i8>,
+    pub moved: FxHashMap<u32, [f64; 3]>,
+}
+
+/// Moves every violated point onto its nearest violating cut.
+pub(crate) fn warp(samples: &Samples, rule: &WarpRule) -> Warped {
+    let mut out = Warped {
+        signs: samples.signs.clone(),
+        moved: FxHashMap::default(),
+    };
+    // Points with a cut at all, in order.
+    let mut near: Vec<u32> = samples.cuts.keys().flat_map(|k| [k.0, k.1]).collect();
+    near.sort_unstable();
+    near.dedup();
+    let h = samples.lattice.edge_mm;
+    let short = 0.75f64.sqrt();
+    // Nearest violating cut of a point: (other end, parameter).
+    let violation = |id: u32, signs: &[i8], allow: &dyn Fn(u32) -> bool| -> Option<(u32, f64)> {
+        let s = signs[id as usize];
+        if s == 0 {
+            return None;
+        }
+        let mut best: Option<(f64, u32, f64)> = None;
+        samples.for_each_neighbour(id, |n, long| {
+            if signs[n as usize] != -s {
+                return;
+            }
+            let Some(t) = samples.cut(id, n) else { return };
+            let (alpha, scale) = if long {
+                (rule.alpha_long, h)
+            } else {
+                (rule.alpha_short, short * h)
+            };
+            if t < alpha && allow(n) && best.is_none_or(|b| t * scale < b.0) {
+                best = Some((t * scale, n, t));
+            }
+        });
+        best.map(|b| (b.1, b.2))
+    };
+    let apply = |id: u32, (n, t): (u32, f64), out: &mut Warped| {
+        let p = lerp(samples.position(id), samples.position(n), t);
+        out.moved.insert(id, p);
+        out.signs[id as usize] = 0;
+    };
+    if rule.ordered {
+        loop {
+            let mut any = false;
+            for &id in &near {
+                if out.signs[id as usize] > 0 {
+                    let found = violation(id, &out.signs, &|n| violation(n, &out.signs, &|_| true).is_none());
+                    if let Some(v) = found {
+                        apply(id, v, &mut out);
+                        any = true;
+                    }
+                }
+            }
+            if !any {
+                break;
+            }
+        }
+        for &id in &near {
+            if out.signs[id as usize] < 0 {
+                if let Some(v) = violation(id, &out.signs, &|_| true) {
+                    apply(id, v, &mut out);
+                }
+            }
+        }
+    }
+    for &id in &near {
+        if let Some(v) = violation(id, &out.signs, &|_| true) {
+            apply(id, v, &mut out);
+        }
+    }
+    out
+}
+
+/// Builds the inside of the warped lattice.
+struct Inside<'a> {
+    samples: &'a Samples,
+    warped: &'a Warped,
+    complex: Complex,
+    node_of_point: Vec<u32>,
+    node_of_cut: FxHashMap<(u32, u32), u32>,
+    counts: StuffCounts,
+}
+
+impl Inside<'_> {
+    fn node(&mut self, id: u32) -> u32 {
+        let at = self.node_of_point[id as usize];
+        if at != u32::MAX {
+            return at;
+        }
+        let n = self.complex.points.len() as u32;
+        let p = self
+            .warped
+            .moved
+            .get(&id)
+            .copied()
+            .unwrap_or_else(|| self.samples.position(id));
+        self.complex.points.push(p);
+        self.complex.sources.push(Source::Lattice(id));
+        self.node_of_point[id as usize] = n;
+        n
+    }
+}
+
+/// While cutting, the corners are lattice ids; cut points are `CUT_BASE + node`.
+const CUT_BASE: u32 = 1 << 31;
+
+impl Cutter for Inside<'_> {
+    fn cut(&mut self, a: u32, b: u32) -> u32 {
+        let (i, o) = if self.warped.signs[a as usize] < 0 {
+            (a, b)
+        } else {
+            (b, a)
+        };
+        if let Some(&n) = self.node_of_cut.get(&(i, o)) {
+            return CUT_BASE + n;
+        }
+        let t = self.samples.cut(i, o).unwrap_or(0.5);
+        let n = self.complex.points.len() as u32;
+        self.complex
+            .points
+            .push(lerp(self.samples.position(i), self.samples.position(o), t));
+        self.complex.sources.push(Source::Cut(i, o));
+        self.node_of_cut.insert((i, o), n);
+        CUT_BASE + n
+    }
+
+    fn diagonal_at_first(&self, a: u32, b: u32, e: u32) -> bool {
+        let l = &self.samples.lattice;
+        lattice_diagonal(l.triple(a), l.triple(b), l.triple(e))
+    }
+
+    fn middle(&mut self, corners: [u32; 6]) -> u32 {
+        let nodes = corners.map(|c| if c >= CUT_BASE { c - CUT_BASE } else { self.node(c) });
+        let p = std::array::from_fn(|a| {
+            nodes
+                .iter()
+                .map(|&n| self.complex.points[n as usize][a])
+                .sum::<f64>()
+                / 6.0
+        });
+        self.complex.points.push(p);
+        self.complex.sources.push(Source::Other);
+        CUT_BASE + self.complex.points.len() as u32 - 1
+    }
+
+    fn wants(&self, side: i8) -> bool {
+        side < 0
+    }
+
+    fn emit(&mut self, _: i8, own: usize, other: usize, tet: [u32; 4]) {
+        let t = tet.map(|c| if c >= CUT_BASE { c - CUT_BASE } else { self.node(c) });
+        let pattern = pattern_index(own, other);
+        self.counts.patterns[pattern] += 1;
+        self.complex.tets.push(t);
+        self.complex.patterns.push(pattern as u8);
+    }
+}
+
+/// Emits the stencils of every lattice tet that has an inside corner.
+pub(crate) fn cut_inside(samples: &Samples, warped: &Warped) -> (Complex, StuffCounts) {
+    let mut to = Inside {
+        samples,
+        warped,
+        complex: Complex::default(),
+        node_of_point: vec![u32::MAX; samples.lattice.len()],
+        node_of_cut: FxHashMap::default(),
+        counts: StuffCounts {
+            warped: warped.moved.len(),
+            ..StuffCounts::default()
+        },
+    };
+    samples.lattice.for_each_tet(|v| {
+        let s = v.map(|id| warped.signs[id as usize]);
+        if s.iter().any(|&x| x < 0) {
+            cut_tet(v, s, &mut to);
+        } else if s == [0; 4] {
+            to.counts.zzzz += 1;
+        }
+    });
+    (to.complex, to.counts)
+}
+
+/// Keeps the largest face-connected piece; returns the number of pieces dropped and their volume.
+pub(crate) fn keep_largest(complex: &mut Complex) -> (usize, f64) {
+    let table = FaceTable::new(&complex.tets, complex.points.len(), |_| true);
+    let mut parts = Components::new(complex.tets.len());
+    for g in table.groups() {
+        for f in &g[1..] {
+            parts.join(g[0].tet, f.tet);
+        }
+    }
+    let mut volume: Vec<(u32, f64)> = Vec::new();
+    let mut slot: FxHashMap<u32, usize> = FxHashMap::default();
+    let root: Vec<u32> = (0..complex.tets.len() as u32).map(|t| parts.root(t)).collect();
+    for (t, &r) in root.iter().enumerate() {
+        let i = *slot.entry(r).or_insert_with(|| {
+            volume.push((r, 0.0));
+            volume.len() - 1
+        });
+        volume[i].1 += volume6(complex.corners(complex.tets[t])) / 6.0;
+    }
+    if volume.len() <= 1 {
+        return (0, 0.0);
+    }
+    let mut best = volume[0];
+    for v in &volume {
+        if v.1 > best.1 {
+            best = *v;
+        }
+    }
+    let dropped: f64 = volume.iter().filter(|v| v.0 != best.0).map(|v| v.1).sum();
+    let mut n = 0;
+    complex.tets.retain(|_| {
+        n += 1;
+        root[n - 1] == best.0
+    });
+    n = 0;
+    complex.patterns.retain(|_| {
+        n += 1;
+        root[n - 1] == best.0
+    });
+    (volume.len() - 1, dropped)
+}
+
+/// Drops nodes that no tet uses.
+pub(crate) fn compact(complex: &mut Complex) {
+    let mut new = vec![u32::MAX; complex.points.len()];
+    let (mut points, mut sources) = (Vec::new(), Vec::new());
+    for t in &mut complex.tets {
+        for v in t {
+            let at = &mut new[*v as usize];
+            if *at == u32::MAX {
+                *at = points.len() as u32;
+                points.push(complex.points[*v as usize]);
+                sources.push(complex.sources[*v as usize]);
+            }
+            *v = *at;
+        }
+    }
+    complex.points = points;
+    complex.sources = sources;
+}
+
+/// Stuffs the inside of `f`: one face-connected body whose boundary is a closed 2-manifold.
+///
+/// Where sheets of the boundary touch along an edge or at a point (within one cell of each other), the sign of the
+/// lattice point there whose value is nearest to 0 is changed, and the warp and the cuts are redone.
+pub(crate) fn stuff(
+    f: &dyn Implicit,
+    lattice: Lattice,
+    rule: &WarpRule,
+) -> Result<(Complex, StuffCounts), TetError> {
+    let mut samples = Samples::new(f, lattice, rule.linear)?;
+    let mut edited: FxHashSet<u32> = FxHashSet::default();
+    for round in 0..=MEND_ROUNDS {
+        let warped = warp(&samples, rule);
+        let (mut complex, mut counts) = cut_inside(&samples, &warped);
+        if complex.tets.is_empty() {
+            return Err(TetError::Empty {
+                edge_mm: samples.lattice.edge_mm,
+            });
+        }
+        (counts.dropped_pieces, counts.dropped_mm3) = keep_largest(&mut complex);
+        compact(&mut complex);
+        (counts.sign_edits, counts.mend_rounds) = (edited.len(), round);
+        let boundary = FaceTable::new(&complex.tets, complex.points.len(), |_| true).boundary(&complex.tets);
+        let bad = non_manifold(&boundary, complex.points.len());
+        let mut places: Vec<Vec<u32>> = bad.nodes.iter().map(|&n| vec![n]).collect();
+        places.extend(bad.edges.iter().map(|e| e.to_vec()));
+        let Some(first) = places.first() else {
+            return Ok((complex, counts));
+        };
+        let fill_only = round > MEND_ROUNDS / 4;
+        let mut changed = false;
+        let mut touched: FxHashSet<u32> = FxHashSet::default();
+        for place in &places {
+            if let Some((id, sign)) =
+                mend_choice(&samples, &warped, &complex, place, &edited, &touched, fill_only)
+            {
+                // One edit per neighbourhood and round: the next may no longer be needed.
+                touched.insert(id);
+                samples.for_each_neighbour(id, |n, _| {
+                    touched.insert(n);
+                });
+                samples.edit_sign(f, id, sign);
+                edited.insert(id);
+                changed = true;
+            }
+        }
+        if !changed || round == MEND_ROUNDS {
+            return Err(TetError::NonManifold {
+                position: complex.points[first[0] as usize],
+                count: places.len(),
+                rounds: round,
+                edge_mm: samples.lattice.edge_mm,
+            });
+        }
+    }
+    Err(TetError::Empty {
+        edge_mm: samples.lattice.edge_mm,
+    })
+}
+
+/// The lattice point around a bad place whose sign is cheapest to change, and its new sign. `None` where the
+/// neighbourhood has been edited in this round already or offers nothing.
+fn mend_choice(
+    samples: &Samples,
+    warped: &Warped,
+    complex: &Complex,
+    place: &[u32],
+    edited: &FxHashSet<u32>,
+    touched: &FxHashSet<u32>,
+    fill_only: bool,
+) -> Option<(u32, i8)> {
+    let mut around: Vec<u32> = Vec::new();
+    for &node in place {
+        let ends = match complex.sources[node as usize] {
+            Source::Lattice(id) => [id, id],
+            Source::Cut(a, b) => [a, b],
+            Source::Other => continue,
+        };
+        for id in ends {
+            if touched.contains(&id) {
+                return None;
+            }
+            around.push(id);
+            if matches!(complex.sources[node as usize], Source::Lattice(_)) {
+                samples.for_each_neighbour(id, |n, _| around.push(n));
+            }
+        }
+    }
+    around.sort_unstable();
+    around.dedup();
+    let mut best: Option<(f64, u32, i8)> = None;
+    for id in around {
+        let s = samples.signs[id as usize];
+        // A moved point lies on the surface: filling it is the smallest change.
+        let cost = if warped.signs[id as usize] == 0 {
+            0.0
+        } else {
+            samples.values[id as usize].abs()
+        };
+        let sign = if s > 0 || fill_only { -1 } else { 1 };
+        if edited.contains(&id) && !(fill_only && s > 0) || (fill_only && s < 0) {
+            continue;
+        }
+        if best.is_none_or(|b| cost < b.0) {
+            best = Some((cost, id, sign));
+        }
+    }
+    best.map(|b| (b.1, b.2))
+}
+
+#[cfg(test)]
+mod tests;
