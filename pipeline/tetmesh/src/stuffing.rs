@@ -323,10 +323,10 @@ pub(crate) fn warp(samples: &Samples, rule: &WarpRule) -> Warped {
             }
         }
         for &id in &near {
-            if out.signs[id as usize] < 0 {
-                if let Some(v) = violation(id, &out.signs, &|_| true) {
-                    apply(id, v, &mut out);
-                }
+            if out.signs[id as usize] < 0
+                && let Some(v) = violation(id, &out.signs, &|_| true)
+            {
+                apply(id, v, &mut out);
             }
         }
     }
