@@ -9,6 +9,7 @@ mod embedding;
 mod error;
 mod faces;
 mod geometry;
+mod improve;
 mod lattice;
 mod locate;
 mod mesh;
@@ -22,6 +23,9 @@ mod validate;
 
 pub use embedding::{EmbeddingReport, build_embedding};
 pub use error::TetError;
+pub use improve::{
+    ImproveParams, ImproveReport, OperationCounts, Surfaces, VolumeChange, VolumeTargets, improve,
+};
 pub use locate::TetLocator;
 pub use mesh::TetMesh;
 pub use params::{EmbeddingParams, FemParams};

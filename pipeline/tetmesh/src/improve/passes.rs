@@ -1,0 +1,210 @@
+//! The order of work: worst tets first, cheap means before dear ones.
+
+use super::Improver;
+use super::complex::NONE;
+use super::flips::Candidate;
+use super::params::{ImproveParams, ImproveReport};
+use super::smooth::GAIN;
+use super::volumes::Goals;
+use crate::TET_EDGES;
+
+/// Rounds of volume holding, each followed by passes of improvement.
+const HOLDS: usize = 4;
+
+/// What a pass may try on a tet.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Effort {
+    /// Move vertices and flip.
+    Plain,
+    /// Also collapse, split, and flip for the worse, each with vertex moves before it is judged.
+    Compound,
+}
+
+impl Improver<'_> {
+    pub fn run(&mut self, params: &ImproveParams, goals: &Goals, report: &mut ImproveReport) {
+        self.settle();
+        self.improve_passes(params.max_passes, report);
+        if params.hold_volumes {
+            for _ in 0..HOLDS {
+                if !self.shift_levels(goals, params, report.mean_edge_mm) {
+                    break;
+                }
+                self.settle();
+                self.improve_passes(2, report);
+            }
+        }
+    }
+
+    fn improve_passes(&mut self, most: u32, report: &mut ImproveReport) {
+        let mut effort = Effort::Plain;
+        for _ in 0..most {
+            let mut bad: Vec<(f64, u32)> = (0..self.complex.tets.len() as u32)
+                .filter(|&t| self.complex.is_alive(t) && self.complex.score[t as usize] < 1.0)
+                .map(|t| (self.complex.score[t as usize], t))
+                .collect();
+            if bad.is_empty() {
+                break;
+            }
+            bad.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+            report.passes += 1;
+            let (n, mut mended) = (bad.len(), 0usize);
+            for (_, t) in bad {
+                if self.complex.is_alive(t) && self.complex.score[t as usize] < 1.0 {
+                    mended += usize::from(self.mend(t, effort));
+                }
+            }
+            if effort == Effort::Plain {
+                if mended * 4 < n {
+                    effort = Effort::Compound;
+                }
+            } else if mended == 0 {
+                break;
+            }
+        }
+    }
+
+    /// Tries to raise the score of one tet; returns whether something got better.
+    fn mend(&mut self, t: u32, effort: Effort) -> bool {
+        let mut better = false;
+        for v in self.complex.tets[t as usize] {
+            better |= self.smooth_vertex(v, 5);
+            if self.complex.score[t as usize] >= 1.0 {
+                return true;
+            }
+        }
+        if let Some(c) = self.flips(t, false).into_iter().next() {
+            self.apply(&c);
+            self.smooth_around(&c);
+            return true;
+        }
+        if effort == Effort::Compound {
+            better |= self.mend_hard(t);
+        }
+        better
+    }
+
+    fn smooth_around(&mut self, c: &Candidate) {
+        let mut verts: Vec<u32> = c.add.iter().flat_map(|a| a.0).collect();
+        verts.sort_unstable();
+        verts.dedup();
+        for v in verts {
+            self.smooth_vertex(v, 3);
+        }
+    }
+
+    /// The flips of the tet's edges and faces, best first: those that help at once or, if `all`, those that are
+    /// merely valid.
+    fn flips(&self, t: u32, all: bool) -> Vec<Candidate> {
+        let tet = self.complex.tets[t as usize];
+        let score = self.complex.score[t as usize];
+        let mut out = Vec::new();
+        let floor = if all { 0.02f64.min(score) } else { score };
+        let mut offer = |c: Option<Candidate>| {
+            if let Some(c) = c
+                && (all || c.worst > c.old + GAIN)
+                && self.fits(c.add.len() as i64 - c.remove.len() as i64)
+            {
+                out.push(c);
+            }
+        };
+        for [i, j] in TET_EDGES {
+            offer(self.edge_removal(tet[i], tet[j], floor));
+        }
+        for v in tet {
+            offer(self.face_removal(t, v, floor));
+        }
+        out.sort_by(|a, b| b.worst.total_cmp(&a.worst));
+        out
+    }
+
+    /// Whether the number of tets may change by so many.
+    fn fits(&self, change: i64) -> bool {
+        let n = self.complex.alive as i64 + change;
+        change == 0 || (n >= self.size.0 as i64 && change < 0) || (n <= self.size.1 as i64 && change > 0)
+    }
+
+    /// Collapses, splits and flips for the worse, each followed by vertex moves and judged as a whole.
+    fn mend_hard(&mut self, t: u32) -> bool {
+        let tet = self.complex.tets[t as usize];
+        let floor = 0.02f64.min(self.complex.score[t as usize]);
+        let mut edges: Vec<(f64, u32, u32)> = TET_EDGES
+            .iter()
+            .map(|&[i, j]| {
+                let d = crate::quality::sub(
+                    self.complex.pos[tet[i] as usize],
+                    self.complex.pos[tet[j] as usize],
+                );
+                (crate::quality::dot(d, d), tet[i], tet[j])
+            })
+            .collect();
+        edges.sort_by(|a, b| a.0.total_cmp(&b.0));
+        if self.fits(-6) {
+            for &(_, a, b) in &edges {
+                for (v, w) in [(a, b), (b, a)] {
+                    if self.attempt(|s| s.collapse(v, w, floor)) {
+                        return true;
+                    }
+                }
+            }
+        }
+        for c in self.flips(t, true).into_iter().take(4) {
+            if self.attempt(|s| {
+                s.apply(&c);
+                true
+            }) {
+                return true;
+            }
+        }
+        if self.fits(6) {
+            for &(_, a, b) in edges.iter().rev() {
+                let split = self.attempt(|s| {
+                    s.split(a, b).is_some_and(|m| {
+                        s.smooth_vertex(m, 8);
+                        true
+                    })
+                });
+                if split {
+                    return true;
+                }
+            }
+        }
+        false
+    }
+
+    /// Makes a change, then mends the worst of the changed tets by vertex moves and flips, and keeps all of it only
+    /// if the worst of the changed tets has become better.
+    fn attempt(&mut self, change: impl FnOnce(&mut Self) -> bool) -> bool {
+        let counts = self.counts;
+        self.complex.begin();
+        let mut kept = false;
+        if change(self) {
+            for _ in 0..6 {
+                let (before, after, worst) = self.complex.judge();
+                if after > before + 5.0 * GAIN {
+                    kept = true;
+                    break;
+                }
+                if worst == NONE {
+                    break;
+                }
+                let mut moved = false;
+                for v in self.complex.tets[worst as usize] {
+                    moved |= self.smooth_vertex(v, 4);
+                }
+                if !moved {
+                    let Some(c) = self.flips(worst, false).into_iter().next() else {
+                        break;
+                    };
+                    self.apply(&c);
+                }
+            }
+        }
+        if kept {
+            self.complex.commit();
+        } else {
+            self.complex.rollback();
+            self.counts = counts;
+        }
+        kept
+    }
+}
