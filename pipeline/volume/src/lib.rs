@@ -10,8 +10,21 @@
 
 mod affine;
 mod anatomy;
+mod ct;
 mod field;
+mod label_tables;
+mod labels;
+mod nifti_io;
+mod read_error;
+mod totalsegmentator;
 
 pub use affine::Affine;
 pub use anatomy::{Anatomy, Body, CapPlane, ComponentInfo, RegionLabels, Structure, VoxelMask};
+pub use ct::{AIR_HU, CtVolume, read_ct, read_ct_from};
 pub use field::{Implicit, ScalarField};
+pub use label_tables::{LabelTable, LabelTableError, PRESET_NAMES, Preset, Selection, preset};
+pub use labels::{IndexBox, LabelVolume, LabelVolumeError, PresentLabel};
+pub use nifti_io::{
+    AffineSource, CtPlacement, ReadLimits, ReadReport, ReadWarning, read_labels, read_labels_from,
+};
+pub use read_error::{Distinct, PatientBox, ReadError, ReadFault};
