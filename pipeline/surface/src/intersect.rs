@@ -4,6 +4,7 @@
 //! triangles are judged by their coordinates and not by rounding.
 
 use crate::validate::{MeshError, check_arrays};
+use crate::vector::{cross, dot, length, sub};
 use crate::{TriMesh, TriangleBvh};
 use rayon::prelude::*;
 use robust::{Coord, Coord3D};
@@ -96,8 +97,60 @@ fn segment_meets(p: [f64; 3], q: [f64; 3], sp: i32, sq: i32, t: &Corners) -> boo
     a * c >= 0 && b * c >= 0
 }
 
+/// Relative error granted to the sums of products of the quick tests below; a hundred times what they can have.
+const SLACK: f64 = 1e-13;
+
+/// True only where some plane certainly separates the triangles: settles most pairs without exact arithmetic.
+#[inline]
+fn clearly_apart(a: &Corners, b: &Corners) -> bool {
+    let o = a[0];
+    let (da, db) = (a.map(|p| sub(p, o)), b.map(|p| sub(p, o)));
+    let n: [f64; 3] = std::array::from_fn(|x| (db[0][x] + db[1][x] + db[2][x]) - (da[1][x] + da[2][x]));
+    let pa = da.map(|d| dot(n, d));
+    let pb = db.map(|d| dot(n, d));
+    let size = da
+        .iter()
+        .chain(&db)
+        .flatten()
+        .fold(0.0, |m: f64, v| m.max(v.abs()));
+    let bound = SLACK * (n[0].abs() + n[1].abs() + n[2].abs()) * size;
+    pa[0].max(pa[1]).max(pa[2]) + bound < pb[0].min(pb[1]).min(pb[2]) - bound
+}
+
+/// True only where some plane through `v` certainly has a0, a1 on one side and b0, b1 on the other.
+#[inline]
+fn clearly_apart_at(v: [f64; 3], a: [[f64; 3]; 2], b: [[f64; 3]; 2]) -> bool {
+    let (da, db) = (a.map(|p| sub(p, v)), b.map(|p| sub(p, v)));
+    let middle = |d: [[f64; 3]; 2]| {
+        let m: [f64; 3] = std::array::from_fn(|x| d[0][x] + d[1][x]);
+        let l = length(m);
+        m.map(|c| c / l)
+    };
+    let n = sub(middle(da), middle(db));
+    let size = da
+        .iter()
+        .chain(&db)
+        .flatten()
+        .fold(0.0, |m: f64, v| m.max(v.abs()));
+    let bound = SLACK * (n[0].abs() + n[1].abs() + n[2].abs()) * size;
+    // Comparisons with NaN are false.
+    da.iter().all(|&d| dot(n, d) > bound) && db.iter().all(|&d| dot(n, d) < -bound)
+}
+
+/// True only where the tips a and b certainly lie to opposite sides of the edge u–v (dihedral angle over 90°).
+#[inline]
+fn clearly_unfolded(u: [f64; 3], v: [f64; 3], a: [f64; 3], b: [f64; 3]) -> bool {
+    let (e, da, db) = (sub(v, u), sub(a, u), sub(b, u));
+    let s = dot(cross(e, da), cross(e, db));
+    let ee = dot(e, e);
+    s < 0.0 && s * s > (10.0 * SLACK * ee).powi(2) * dot(da, da) * dot(db, db)
+}
+
 /// Whether two closed triangles have a point in common; touching counts. Exact, any shape, either winding.
 pub fn triangles_intersect(a: &Corners, b: &Corners) -> bool {
+    if clearly_apart(a, b) {
+        return false;
+    }
     let sb = [0, 1, 2].map(|i| side(a[0], a[1], a[2], b[i]));
     if sb == [1; 3] || sb == [-1; 3] {
         return false;
@@ -114,6 +167,9 @@ pub fn triangles_intersect(a: &Corners, b: &Corners) -> bool {
 
 /// Triangles (v, a[0], a[1]) and (v, b[0], b[1]): any common point other than v.
 fn intersect_beyond_vertex(v: [f64; 3], a: [[f64; 3]; 2], b: [[f64; 3]; 2]) -> bool {
+    if clearly_apart_at(v, a, b) {
+        return false;
+    }
     let (ta, tb) = ([v, a[0], a[1]], [v, b[0], b[1]]);
     let sb = b.map(|p| side(v, a[0], a[1], p));
     if sb[0] * sb[1] > 0 {
@@ -129,7 +185,7 @@ fn intersect_beyond_vertex(v: [f64; 3], a: [[f64; 3]; 2], b: [[f64; 3]; 2]) -> b
 
 /// Triangles on both sides of the edge u–v with opposite corners a and b: folded flat onto each other.
 fn folded_over_edge(u: [f64; 3], v: [f64; 3], a: [f64; 3], b: [f64; 3]) -> bool {
-    if side(u, v, a, b) != 0 {
+    if clearly_unfolded(u, v, a, b) || side(u, v, a, b) != 0 {
         return false;
     }
     if is_degenerate(&[u, v, a]) && is_degenerate(&[u, v, b]) {
