@@ -121,6 +121,8 @@ impl DecimateParams {
 pub struct ImproveParams {
     /// Rounds of edge flips and tangential relaxation; 0 leaves the decimated surface as it is.
     pub rounds: usize,
+    /// The first so many of them also split long edges and collapse short ones.
+    pub resize_rounds: usize,
     /// Rounds of the fit to the field's zero set.
     pub fit_rounds: usize,
     /// Triangles with a smaller angle (degrees) than this are repaired one by one.
@@ -135,6 +137,7 @@ impl Default for ImproveParams {
     fn default() -> Self {
         Self {
             rounds: 12,
+            resize_rounds: 3,
             fit_rounds: 4,
             goal_angle_deg: 24.0,
             flip_error_mm: 0.05,

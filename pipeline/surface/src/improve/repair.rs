@@ -148,64 +148,23 @@ impl Improver<'_> {
             }
         }
         let Some((_, p)) = best else { return false };
-        if !self.mesh.may_collapse(h) {
-            return false;
-        }
-        let m = &self.mesh;
-        let mut old: Vec<u32> = dead.to_vec();
-        let mut new: Vec<Shape> = Vec::new();
-        for v in [a, b] {
-            for g in m.fan(v).filter(|g| !dead.contains(&(g / 3))) {
-                let (s, t) = (m.to(g), m.apex(g));
-                old.push(g / 3);
-                new.push(([b, s, t], [p, m.at(s), m.at(t)]));
-            }
-        }
-        if self.crosses(&old, &new) {
-            return false;
-        }
-        self.near[b as usize] |= self.near[a as usize];
-        self.mesh.collapse(h, p);
-        self.refresh(&old);
-        self.report.collapses += 1;
-        true
+        self.collapse(h, p)
     }
 
-    /// Splits `h` where the foot of the wider apex lies, if no new angle is smaller than the smallest now, and
-    /// searches a place for the new vertex.
+    /// Splits `h` in its middle if no new angle is smaller than the smallest now, and searches a place for the new
+    /// vertex.
     fn split_for_angle(&mut self, h: u32) -> bool {
         let m = &self.mesh;
-        let t = m.twin(h);
-        let (a, b, c, d) = (m.from(h), m.to(h), m.apex(h), m.apex(t));
-        let [pa, pb, pc, pd] = [a, b, c, d].map(|v| m.at(v));
+        let [pa, pb, pc, pd] = [m.from(h), m.to(h), m.apex(h), m.apex(m.twin(h))].map(|v| m.at(v));
         let before = min_angle(&[pa, pb, pc]).min(min_angle(&[pb, pa, pd]));
         let level = 0.5 * (self.field.value(pa) + self.field.value(pb));
         let p = self.to_level(midpoint(pa, pb), level);
+        let halves = [[pa, p, pc], [p, pa, pd], [p, pb, pc], [pb, p, pd]];
+        let after = halves.iter().map(min_angle).fold(f64::INFINITY, f64::min);
         let v = m.pos.len() as u32;
-        let new = [
-            ([a, v, c], [pa, p, pc]),
-            ([v, a, d], [p, pa, pd]),
-            ([v, b, c], [p, pb, pc]),
-            ([b, v, d], [pb, p, pd]),
-        ];
-        let after = new
-            .iter()
-            .map(|(_, p)| min_angle(p))
-            .fold(f64::INFINITY, f64::min);
-        let turned = new.iter().zip([h / 3, t / 3, h / 3, t / 3]).any(|((_, p), f)| {
-            let (x, y) = (area_normal(p[0], p[1], p[2]), m.face_area_normal(f));
-            dot(x, y) < 0.5 * (norm2(x) * norm2(y)).sqrt()
-        });
-        let near =
-            self.near[a as usize] || self.near[b as usize] || self.near[c as usize] || self.near[d as usize];
-        if after <= before || turned || self.crosses(&[h / 3, t / 3], &new) {
+        if after <= before || !self.split(h, p) {
             return false;
         }
-        let first = (self.mesh.org.len() / 3) as u32;
-        self.mesh.split(h, p);
-        self.near.push(near);
-        self.refresh(&[h / 3, t / 3, first, first + 1]);
-        self.report.splits += 1;
         self.search_vertex(v);
         true
     }
