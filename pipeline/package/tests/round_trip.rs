@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::small_model;
+use common::{bare_model, small_model};
 use palpate_package::*;
 use std::collections::BTreeMap;
 use std::io::Read;
@@ -95,12 +95,7 @@ fn another_zip_reader_agrees() {
 
 #[test]
 fn parts_that_may_be_absent_may_be_absent() {
-    let mut model = small_model();
-    model.ct = None;
-    model.fiducials = Fiducials::default();
-    model.fem.tagged.clear();
-    model.surfaces.truncate(1);
-    model.surfaces[0].caps.clear();
+    let mut model = bare_model();
     model.surfaces[0].normals = Some(vec![[0.0, 0.6, 0.8]; model.surfaces[0].vertices.len()]);
     let back = ModelPackage::read_bytes(&model.to_bytes().unwrap().0).unwrap();
     assert_eq!(back, model);

@@ -299,3 +299,14 @@ pub fn small_model() -> ModelPackage {
         ct: Some(Ct { dims, affine, hu }),
     }
 }
+
+/// [`small_model`] without the parts that a package may lack.
+pub fn bare_model() -> ModelPackage {
+    let mut model = small_model();
+    model.ct = None;
+    model.fiducials = Fiducials::default();
+    model.fem.tagged.clear();
+    model.surfaces.truncate(1);
+    model.surfaces[0].caps.clear();
+    model
+}
