@@ -10,7 +10,8 @@ const BLOCK: usize = 4096;
 /// Distinct values are counted up to here.
 const MOST_COUNTED: usize = 65_536;
 /// Above so many distinct values, and this share of voxels that differ from the one before, an image holds
-/// intensities. Label maps of 117 organs at 3 mm have a share of 0.03, CT above 0.5.
+/// intensities. A map of 117 organs at 3 mm has a share of 0.06, KiTS19's of
+/// kidneys 0.002 and less, a CT 0.98.
 const INTENSITY_DISTINCT: usize = 64;
 const INTENSITY_SHARE: f64 = 0.25;
 /// Above it neither labels nor their doubles are exact everywhere.
