@@ -29,7 +29,7 @@ pub(crate) fn lerp(a: [f64; 3], b: [f64; 3], t: f64) -> [f64; 3] {
     std::array::from_fn(|i| a[i] + t * (b[i] - a[i]))
 }
 
-#[cfg(test)]
+#[inline]
 pub(crate) fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
     length(sub(a, b))
 }

@@ -5,11 +5,13 @@
 //! From: signed fields.
 //! Refuses: fields without an inside; meshes that cannot be made valid.
 
+mod assembly;
 mod embedding;
 mod error;
 mod faces;
 mod geometry;
 mod improve;
+mod interface;
 mod lattice;
 mod locate;
 mod mesh;
@@ -19,6 +21,8 @@ mod report;
 mod stage;
 mod stencil;
 mod stuffing;
+mod surfaces;
+mod thickness;
 mod validate;
 
 pub use embedding::{EmbeddingReport, build_embedding};
@@ -33,6 +37,8 @@ pub use quality::{
     HIGH_MARKS_DEG, HISTOGRAM_BIN_DEG, LOW_MARKS_DEG, MeshQuality, TET_EDGES, dihedral_angles, radius_ratio,
     tet_volume, volume_length_quality,
 };
-pub use report::{FemReport, InterfaceReport, PatternReport, RegionReport, StructureMode, TaggedStructure};
+pub use report::{
+    FemReport, InterfaceReport, PatternReport, RegionReport, SeveralReport, StructureMode, TaggedStructure,
+};
 pub use stage::build_fem;
 pub use validate::{InterfaceTopology, TetTopology, validate};

@@ -1,3 +1,4 @@
+use crate::ImproveParams;
 use serde::{Deserialize, Serialize};
 
 /// How the FEM mesh is made.
@@ -27,6 +28,8 @@ pub struct FemParams {
     /// How many times `target_tets` may be used so that a thin structure conforms (unitless), before it is tagged
     /// instead. 1.5.
     pub refine_limit: f64,
+    /// How the optimiser works.
+    pub improve: ImproveParams,
 }
 
 impl Default for FemParams {
@@ -41,6 +44,7 @@ impl Default for FemParams {
             lattice_shifts: 8,
             conforming_cells: 2.0,
             refine_limit: 1.5,
+            improve: ImproveParams::default(),
         }
     }
 }

@@ -1,5 +1,5 @@
 use crate::stencil::{PATTERN_BOUNDS_DEG, PATTERNS};
-use crate::{MeshQuality, TetTopology};
+use crate::{ImproveReport, MeshQuality, TetTopology};
 use serde::{Deserialize, Serialize};
 
 /// What one stencil made.
@@ -94,6 +94,43 @@ pub struct RegionReport {
     pub error_percent: Option<f64>,
 }
 
+/// Tets that more than one surface has shaped: no bound is proven for them.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct SeveralReport {
+    /// Such tets.
+    pub tets: usize,
+    /// Smallest and largest dihedral angle among them before optimisation, degrees.
+    pub dihedral_deg: Option<[f64; 2]>,
+    /// Of them, tets that needed work: an angle outside of 12°–160° before optimisation.
+    pub needed_work: usize,
+    /// Nodes moved onto a divider.
+    pub snapped: usize,
+    /// Of these, nodes that slid along the outer surface or another divider onto the curve where both meet.
+    pub slid: usize,
+    /// Moves refused because they would have flattened a tet.
+    pub refused: usize,
+    /// Cut nodes left on their chord instead of the junction curve, because a tet would have inverted.
+    pub on_chord: usize,
+    /// Wedges split around a node of their own, because their faces' diagonals ran around.
+    pub middles: usize,
+    /// Pieces of a region smaller than four lattice tets that were given to a neighbour.
+    pub merged_pieces: usize,
+    /// Their volume, mm³.
+    pub merged_mm3: f64,
+}
+
+impl SeveralReport {
+    /// Counts a tet with these angles.
+    pub(crate) fn add(&mut self, angles: [f64; 6]) {
+        let low = angles.iter().copied().fold(f64::INFINITY, f64::min);
+        let high = angles.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        self.tets += 1;
+        let d = self.dihedral_deg.get_or_insert([low, high]);
+        *d = [d[0].min(low), d[1].max(high)];
+        self.needed_work += usize::from(low < 12.0 || high > 160.0);
+    }
+}
+
 /// How well the faces between a structure and its neighbours lie on its divider.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct InterfaceReport {
@@ -125,6 +162,8 @@ pub struct FemReport {
     pub bound: String,
     /// By stencil, for tets cut by one surface, before optimisation.
     pub patterns: Vec<PatternReport>,
+    /// Tets shaped by several surfaces, before optimisation.
+    pub several: SeveralReport,
     /// Lattice points moved onto the outer surface.
     pub warped: usize,
     /// Lattice tets with all corners on the outer surface: dropped.
@@ -147,6 +186,8 @@ pub struct FemReport {
     pub before: MeshQuality,
     /// Shapes of the mesh as it is.
     pub after: MeshQuality,
+    /// What the optimiser did, where it ran.
+    pub improvement: Option<ImproveReport>,
     /// RMS and largest distance of the outer faces (corners, edge middles, centroids) to the organ's zero set, mm.
     pub outer_rms_mm: f64,
     /// Largest such distance, mm.

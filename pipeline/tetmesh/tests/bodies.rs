@@ -1,28 +1,131 @@
 //! The stages on analytic bodies with known answers.
 
 use palpate_fixtures::shapes;
-use palpate_tetmesh::{EmbeddingParams, FemParams, TetLocator, build_embedding, build_fem};
+use palpate_tetmesh::{
+    EmbeddingParams, FemParams, FemReport, StructureMode, TetLocator, build_embedding, build_fem,
+};
 use palpate_volume::Implicit;
+
+/// Volume of the points of a box that pass, by counting samples.
+fn counted(lo: [f64; 3], hi: [f64; 3], inside: impl Fn([f64; 3]) -> bool) -> f64 {
+    let h = 0.5;
+    let n: [usize; 3] = std::array::from_fn(|a| ((hi[a] - lo[a]) / h) as usize + 1);
+    let at = |m: usize| [m % n[0], m / n[0] % n[1], m / (n[0] * n[1])];
+    let hits = (0..n.iter().product())
+        .filter(|&m| inside(std::array::from_fn(|a| lo[a] + h * (at(m)[a] as f64 + 0.5))))
+        .count();
+    hits as f64 * h * h * h
+}
+
+fn check(report: &FemReport, low: f64, high: f64) {
+    println!(
+        "{} tets, edge {:.2}, {:.2}°–{:.2}° → {:.2}°–{:.2}°, {:?} {:?}",
+        report.tets,
+        report.edge_mm,
+        report.before.min_dihedral_deg,
+        report.before.max_dihedral_deg,
+        report.after.min_dihedral_deg,
+        report.after.max_dihedral_deg,
+        report.several,
+        report.interfaces
+    );
+    assert!((report.tets as f64 / 13_000.0 - 1.0).abs() < 0.1);
+    assert!(
+        report.patterns.iter().all(|p| p.violations == 0),
+        "{:?}",
+        report.patterns
+    );
+    assert_eq!(report.topology.fault(), None);
+    assert_eq!(report.topology.boundary_euler, 2);
+    assert!(report.after.min_dihedral_deg > low && report.after.max_dihedral_deg < high);
+    assert!(report.outer_rms_mm < 0.5);
+    for r in &report.regions {
+        let allowed = if r.region == 0 { 0.5 } else { 1.0 };
+        assert!(
+            r.error_percent.unwrap().abs() < allowed && r.components == 1,
+            "{r:?}"
+        );
+    }
+    assert!(
+        report
+            .interfaces
+            .iter()
+            .all(|i| i.rms_edges < 0.1 && i.faces > 100)
+    );
+    assert!(report.topology.interfaces.iter().all(|i| i.open_edges == 0));
+}
 
 #[test]
 fn kidney_is_stuffed_near_the_target() {
     let kidney = shapes::kidney([3.0, -7.0, 11.0]);
-    let (mesh, report) = build_fem(&kidney, &[], &[], &FemParams::default()).unwrap();
-    println!(
-        "{} tets, {} vertices, edge {:.2}",
-        mesh.tets.len(),
-        mesh.vertices.len(),
-        report.edge_mm
-    );
-    println!(
-        "{:.2} … {:.2}, {:?}",
-        report.before.min_dihedral_deg, report.before.max_dihedral_deg, report.patterns
-    );
-    assert!((mesh.tets.len() as f64 / 13_000.0 - 1.0).abs() < 0.1);
-    assert!(report.patterns.iter().all(|p| p.violations == 0));
-    assert!(report.topology.fault().is_none() && report.topology.boundary_euler == 2);
+    let (lo, hi) = kidney.bounds();
+    let volume = counted(lo, hi, |p| kidney.value(p) < 0.0);
+    let (_, report) = build_fem(&kidney, &[], &[volume], &FemParams::default()).unwrap();
+    check(&report, 25.0, 125.0);
     assert!(report.before.min_dihedral_deg > 15.0 && report.before.max_dihedral_deg < 150.0);
-    assert!(report.outer_rms_mm < 0.5);
+}
+
+/// Kidney with a ball of tumour: within it, bulging out of it, or touching its surface from within.
+#[test]
+fn tumours_get_faces_of_their_own() {
+    let c = [3.0, -7.0, 11.0];
+    let kidney = shapes::kidney(c);
+    let (lo, hi) = kidney.bounds();
+    for (centre, radius, low, high) in [
+        ([6.0, -6.0, 30.0], 7.5, 22.0, 130.0),
+        ([25.0, -7.0, 20.0], 15.0, 15.0, 160.0),
+        ([3.0, 4.5, 11.0], 10.5, 12.0, 160.0),
+    ] {
+        let ball = shapes::ball(centre, radius);
+        let organ = shapes::Shape {
+            value: |p| kidney.value(p).min(ball.value(p)),
+            lo: std::array::from_fn(|a| lo[a].min(centre[a] - radius)),
+            hi: std::array::from_fn(|a| hi[a].max(centre[a] + radius)),
+        };
+        // Outside of the kidney the divider opens like a funnel, so that it crosses the organ's surface.
+        let divider = shapes::Shape {
+            value: |p| ball.value(p) - 2.0 * kidney.value(p).max(0.0),
+            lo: organ.lo,
+            hi: organ.hi,
+        };
+        let whole = counted(organ.lo, organ.hi, |p| organ.value(p) < 0.0);
+        let tumour = counted(organ.lo, organ.hi, |p| {
+            organ.value(p) < 0.0 && divider.value(p) < 0.0
+        });
+        let (mesh, report) = build_fem(&organ, &[&divider], &[whole, tumour], &FemParams::default()).unwrap();
+        check(&report, low, high);
+        let again = build_fem(&organ, &[&divider], &[whole, tumour], &FemParams::default())
+            .unwrap()
+            .0;
+        assert_eq!(mesh, again);
+    }
+}
+
+#[test]
+fn thin_layers_are_tagged() {
+    let kidney = shapes::kidney([0.0; 3]);
+    let (lo, hi) = kidney.bounds();
+    let layer = shapes::Shape {
+        value: |p: [f64; 3]| (p[2] - 5.1).abs() - 0.75,
+        lo,
+        hi,
+    };
+    let whole = counted(lo, hi, |p| kidney.value(p) < 0.0);
+    let thin = counted(lo, hi, |p| kidney.value(p) < 0.0 && layer.value(p) < 0.0);
+    let (mesh, report) = build_fem(&kidney, &[&layer], &[whole, thin], &FemParams::default()).unwrap();
+    assert_eq!(report.regions[1].mode, StructureMode::Tagged);
+    assert!(
+        (report.tagged[0].thickness_mm - 1.5).abs() < 0.05,
+        "{:?}",
+        report.tagged
+    );
+    assert_eq!(report.tagged[0].tet_fraction.len(), mesh.tets.len());
+    assert!(mesh.regions.iter().all(|&r| r == 0));
+    assert!(
+        report.regions[1].error_percent.unwrap().abs() < 3.0,
+        "{:?}",
+        report.regions
+    );
 }
 
 #[test]
