@@ -154,6 +154,18 @@ impl Complex {
             .fold(f64::INFINITY, f64::min)
     }
 
+    /// A number that changes whenever a tet at the vertex does (but for chance in a thousand million).
+    pub fn fingerprint(&self, v: u32) -> u64 {
+        self.star[v as usize].iter().fold(1, |h: u64, &t| {
+            h.wrapping_add(
+                self.score[t as usize]
+                    .to_bits()
+                    .wrapping_mul(0x9e37_79b9_7f4a_7c15)
+                    .rotate_left(29),
+            )
+        })
+    }
+
     // Transactions.
 
     /// Starts to record changes, so that they can be judged and taken back.

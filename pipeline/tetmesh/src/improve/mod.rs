@@ -36,6 +36,13 @@ struct Improver<'a> {
     tolerance: f64,
     /// Bounds of the number of tets.
     size: (usize, usize),
+    /// Score below which dear means are tried.
+    asked: f64,
+    /// Fingerprint of each vertex's star when it could last not be moved, and of each tet's surroundings when it
+    /// could last not be mended.
+    stuck_vertex: Vec<u64>,
+    stuck_tet: Vec<[u64; 2]>,
+    reconnect: bool,
     scratch: smooth::Scratch,
 }
 
@@ -50,6 +57,7 @@ pub fn improve(mesh: &mut TetMesh, surfaces: &Surfaces<'_>, params: &ImprovePara
     let before = MeshQuality::measure(mesh);
     let mut report = ImproveReport {
         unchanged: None,
+        only_moved: None,
         after: before.clone(),
         before,
         vertices_before: mesh.vertices.len(),
@@ -60,7 +68,24 @@ pub fn improve(mesh: &mut TetMesh, surfaces: &Surfaces<'_>, params: &ImprovePara
         volumes: Vec::new(),
         max_deviation_mm: Vec::new(),
     };
-    match improved(mesh, surfaces, params, &mut report) {
+    let mut result = improved(mesh, surfaces, params, &mut report);
+    if params.reconnect
+        && let Err(why) = &result
+        && report.passes > 0
+    {
+        report.only_moved = Some(why.clone());
+        report.passes = 0;
+        result = improved(
+            mesh,
+            surfaces,
+            &ImproveParams {
+                reconnect: false,
+                ..params.clone()
+            },
+            &mut report,
+        );
+    }
+    match result {
         Ok(better) => {
             *mesh = better;
             report.after = MeshQuality::measure(mesh);
@@ -80,8 +105,9 @@ fn improved(
     if let Some(why) = unfit(mesh, surfaces) {
         return Err(why);
     }
-    let faces = sheets::interfaces(&mesh.tets, &mesh.regions)
-        .ok_or("a face belongs to more than two tets; the mesh is not conforming")?;
+    let faces = sheets::interfaces(&mesh.tets, &mesh.regions).ok_or(
+        "a face belongs to more than two tets, or to two on the same side: the mesh is not conforming",
+    )?;
     let edge = mean_edge(mesh);
     report.mean_edge_mm = edge;
     let sheets = Sheets::new(*surfaces, edge);
@@ -106,6 +132,10 @@ fn improved(
         complex,
         sheets,
         counts: OperationCounts::default(),
+        asked: marks.of_angles(params.min_dihedral_deg - 2.5, params.max_dihedral_deg + 2.5),
+        stuck_vertex: Vec::new(),
+        stuck_tet: Vec::new(),
+        reconnect: params.reconnect,
         scratch: smooth::Scratch::default(),
     };
     let goals = volumes::Goals::new(&improver, params);

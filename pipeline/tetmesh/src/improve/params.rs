@@ -16,6 +16,8 @@ pub struct ImproveParams {
     /// the mean edge length; where one lies farther already, it may not get worse. 0.08 keeps the root mean
     /// square well under 0.1.
     pub surface_tolerance_edges: f64,
+    /// Whether connection may change (flips, collapses, splits); otherwise vertices move, nothing else.
+    pub reconnect: bool,
     /// Largest relative change of the number of tets.
     pub max_size_change: f64,
     /// Whether to shift the surfaces (each as a whole, by a fraction of a millimetre) until the volumes of the
@@ -37,6 +39,7 @@ impl Default for ImproveParams {
             max_dihedral_deg: 122.0,
             max_passes: 12,
             surface_tolerance_edges: 0.08,
+            reconnect: true,
             max_size_change: 0.15,
             hold_volumes: true,
             volume_tolerance: 0.0005,
@@ -96,6 +99,9 @@ pub struct VolumeChange {
 pub struct ImproveReport {
     /// Why the mesh was left as it was, if it was.
     pub unchanged: Option<String>,
+    /// Why the changes of connection were taken back and only vertices moved, if so (this would be a fault of the
+    /// optimiser or of an input that overlaps itself).
+    pub only_moved: Option<String>,
     /// Quality of the input.
     pub before: MeshQuality,
     /// Quality of the result.

@@ -11,6 +11,9 @@ use crate::TET_EDGES;
 /// Rounds of volume holding, each followed by passes of improvement.
 const HOLDS: usize = 4;
 
+/// Gain in score by which a tet counts as mended.
+const PROGRESS: f64 = 0.03;
+
 /// What a pass may try on a tet.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Effort {
@@ -30,14 +33,15 @@ impl Improver<'_> {
                     break;
                 }
                 self.settle();
-                self.improve_passes(2, report);
+                self.improve_passes(4, report);
             }
         }
     }
 
     fn improve_passes(&mut self, most: u32, report: &mut ImproveReport) {
         let mut effort = Effort::Plain;
-        for _ in 0..most {
+        let mut last = (0.0, usize::MAX);
+        for pass in 0..most {
             let mut bad: Vec<(f64, u32)> = (0..self.complex.tets.len() as u32)
                 .filter(|&t| self.complex.is_alive(t) && self.complex.score[t as usize] < 1.0)
                 .map(|t| (self.complex.score[t as usize], t))
@@ -46,15 +50,34 @@ impl Improver<'_> {
                 break;
             }
             bad.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+            if effort == Effort::Compound {
+                let asked = bad.iter().filter(|b| b.0 < self.asked).count();
+                let stalled = bad[0].0 < last.0 + PROGRESS && asked as f64 > 0.9 * last.1 as f64;
+                if stalled || asked == 0 {
+                    break;
+                }
+                last = (bad[0].0, asked);
+            }
             report.passes += 1;
             let (n, mut mended) = (bad.len(), 0usize);
             for (_, t) in bad {
                 if self.complex.is_alive(t) && self.complex.score[t as usize] < 1.0 {
-                    mended += usize::from(self.mend(t, effort));
+                    let seen = self.surroundings(t);
+                    if self.stuck_tet.len() < self.complex.tets.len() {
+                        self.stuck_tet.resize(self.complex.tets.len(), [0; 2]);
+                    }
+                    if self.stuck_tet[t as usize][effort as usize] == seen {
+                        continue;
+                    }
+                    if self.mend(t, effort) {
+                        mended += 1;
+                    } else {
+                        self.stuck_tet[t as usize][effort as usize] = self.surroundings(t);
+                    }
                 }
             }
             if effort == Effort::Plain {
-                if mended * 4 < n {
+                if mended * 3 < n || pass == 2 {
                     effort = Effort::Compound;
                 }
             } else if mended == 0 {
@@ -63,24 +86,32 @@ impl Improver<'_> {
         }
     }
 
+    /// Changes whenever a tet that touches `t` does.
+    fn surroundings(&self, t: u32) -> u64 {
+        self.complex.tets[t as usize]
+            .iter()
+            .fold(0, |h: u64, &v| h.wrapping_add(self.complex.fingerprint(v)))
+    }
+
     /// Tries to raise the score of one tet; returns whether something got better.
     fn mend(&mut self, t: u32, effort: Effort) -> bool {
-        let mut better = false;
+        let enough = (self.complex.score[t as usize] + PROGRESS).min(1.0);
         for v in self.complex.tets[t as usize] {
-            better |= self.smooth_vertex(v, 5);
+            self.smooth_vertex(v, 5);
             if self.complex.score[t as usize] >= 1.0 {
                 return true;
             }
         }
-        if let Some(c) = self.flips(t, false).into_iter().next() {
+        if self.reconnect
+            && let Some(c) = self.flips(t, false).into_iter().next()
+        {
             self.apply(&c);
             self.smooth_around(&c);
             return true;
         }
-        if effort == Effort::Compound {
-            better |= self.mend_hard(t);
-        }
-        better
+        let score = self.complex.score[t as usize];
+        score >= enough
+            || (self.reconnect && effort == Effort::Compound && score < self.asked && self.mend_hard(t))
     }
 
     fn smooth_around(&mut self, c: &Candidate) {

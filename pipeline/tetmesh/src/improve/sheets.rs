@@ -176,7 +176,7 @@ pub(super) struct Interface {
     pub outside: Option<u16>,
 }
 
-/// All faces on the boundary or between regions; `None` where three tets share a face.
+/// All faces on the boundary or between regions; `None` where three tets share a face, or two from the same side.
 pub(super) fn interfaces(tets: &[[u32; 4]], regions: &[u16]) -> Option<Vec<Interface>> {
     let mut faces = Vec::with_capacity(4 * tets.len());
     for (t, &[a, b, c, d]) in tets.iter().enumerate() {
@@ -186,14 +186,15 @@ pub(super) fn interfaces(tets: &[[u32; 4]], regions: &[u16]) -> Option<Vec<Inter
         for f in [[b, c, d], [a, d, c], [a, b, d], [a, c, b]] {
             let mut key = f;
             key.sort_unstable();
-            faces.push((key, t as u32, f));
+            let even = f == key || [f[1], f[2], f[0]] == key || [f[2], f[0], f[1]] == key;
+            faces.push((key, t as u32, f, even));
         }
     }
-    faces.sort_unstable_by_key(|&(key, t, _)| (key, t));
+    faces.sort_unstable_by_key(|f| (f.0, f.1));
     let mut out = Vec::new();
     let mut i = 0;
     while i < faces.len() {
-        let (key, t, corners) = faces[i];
+        let (key, t, corners, even) = faces[i];
         let n = faces[i..].iter().take_while(|f| f.0 == key).count();
         let inside = regions[t as usize];
         match n {
@@ -202,7 +203,7 @@ pub(super) fn interfaces(tets: &[[u32; 4]], regions: &[u16]) -> Option<Vec<Inter
                 inside,
                 outside: None,
             }),
-            2 => {
+            2 if faces[i + 1].3 != even => {
                 let other = regions[faces[i + 1].1 as usize];
                 if other != inside {
                     out.push(Interface {

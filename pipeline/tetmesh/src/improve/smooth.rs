@@ -34,9 +34,19 @@ impl Improver<'_> {
         {
             return false;
         }
+        let seen = self.complex.fingerprint(v);
+        if self.stuck_vertex.get(v as usize) == Some(&seen) {
+            return false;
+        }
         let mut scratch = std::mem::take(&mut self.scratch);
         let moved = self.ascend(v, mask, rounds, &mut scratch);
         self.scratch = scratch;
+        if moved.is_none() {
+            if self.stuck_vertex.len() <= v as usize {
+                self.stuck_vertex.resize(self.complex.pos.len(), 0);
+            }
+            self.stuck_vertex[v as usize] = seen;
+        }
         if let Some(p) = moved {
             self.complex.move_vertex(v, p);
             self.counts.vertex_moves += 1;
@@ -89,7 +99,7 @@ impl Improver<'_> {
                 self.sheets.frame(mask, x)
             };
             slopes.clear();
-            let reach = f.max(0.0) + 0.7;
+            let reach = f.max(0.0) + 0.45;
             for &[a, b, c] in star.iter() {
                 marks.slopes(&[x, a, b, c], reach, &mut |s| {
                     slopes.push(Slope {
@@ -150,7 +160,7 @@ impl Improver<'_> {
             }
             break;
         }
-        (f > first + GAIN).then_some(x)
+        (f > first + 5.0 * GAIN).then_some(x)
     }
 }
 

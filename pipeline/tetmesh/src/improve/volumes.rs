@@ -116,6 +116,8 @@ impl Improver<'_> {
 
     /// Brings every surface vertex onto its surfaces, as far as no tet gets worse that is not good.
     pub fn settle(&mut self) {
+        self.stuck_vertex.clear();
+        self.stuck_tet.clear();
         let good = self.complex.marks.of_angles(26.0, 124.0);
         let worst = (0..self.complex.tets.len() as u32)
             .filter(|&t| self.complex.is_alive(t))
