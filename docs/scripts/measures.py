@@ -93,8 +93,8 @@ def nearest(queries, points, faces):
 
 def surface_distance(a, b, count=100_000):
     """Both ways between surfaces a and b, each (points, faces): RMS, 99th percentile, largest, mm."""
-    there = nearest(np.vstack([sample(*a, count), a[0]]), *b)
-    back = nearest(np.vstack([sample(*b, count), b[0]]), *a)
+    there = nearest(np.vstack([sample(*a, count), a[0][np.unique(a[1])]]), *b)
+    back = nearest(np.vstack([sample(*b, count), b[0][np.unique(b[1])]]), *a)
     even = np.concatenate([there[:count], back[:count]])
     return {
         "rms_mm": float(np.sqrt((even**2).mean())),
