@@ -12,6 +12,7 @@ mod check;
 mod decode;
 mod encode;
 mod error;
+mod export;
 mod file;
 mod frame;
 mod inspect;
@@ -25,6 +26,7 @@ mod verify;
 
 pub use check::{Check, VerifyReport};
 pub use error::PackageError;
+pub use export::{Format, export};
 pub use file::{Opened, ReadOptions, Written};
 pub use frame::Frame;
 pub use inspect::inspect;
