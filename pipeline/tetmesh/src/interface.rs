@@ -5,7 +5,7 @@
 //! diagonals, elsewhere the smaller node index; both depend on the face alone, so the pieces conform.
 
 use crate::faces::{Components, FaceTable};
-use crate::geometry::{centroid4, lerp, volume6};
+use crate::geometry::{centroid4, dot, lerp, volume6};
 use crate::lattice::{Lattice, is_long};
 use crate::quality::volume_length_quality;
 use crate::stencil::{Cutter, cut_tet, lattice_diagonal, pattern_index};
@@ -21,6 +21,8 @@ pub(crate) const ZZZZ: u8 = 254;
 
 /// Share of an edge that is not one of the lattice's within which a divider's cut attracts the end.
 const ALPHA_OTHER: f64 = 0.32;
+/// Structures closer than this share of the lattice edge share faces.
+const TOUCHING: f64 = 0.25;
 /// A move that shapes tets outside of the proven cases must leave them this good (volume–length), or as they were.
 const LEAST_QUALITY: f64 = 0.08;
 
@@ -132,18 +134,50 @@ impl Stage<'_> {
             .iter()
             .map(|&v| if v < 0.0 { -1 } else { i8::from(v > 0.0) })
             .collect();
-        if !signs.iter().any(|&s| s < 0) {
-            return;
-        }
         let on_edge = surface_edges(&self.complex.tets, self.regions, self.complex.points.len());
         let mut on_node = vec![0u64; self.complex.points.len()];
         for (e, set) in &on_edge {
             on_node[e.0 as usize] |= set;
             on_node[e.1 as usize] |= set;
         }
+        self.respect_earlier(&values, &on_node, &mut signs);
+        if !signs.iter().any(|&s| s < 0) {
+            return;
+        }
         let roots = self.roots(&values, &signs);
         let irregular = self.snap(&roots, &on_node, &mut signs);
-        self.cut(&roots, &on_edge, &irregular, &signs);
+        let shared: Vec<bool> = on_node.iter().map(|set| set & !OUTER != 0).collect();
+        self.cut(&roots, &on_edge, &irregular, &shared, &signs);
+    }
+
+    /// Keeps the cut out of structures that were cut before: their inner nodes count as on the divider, so that no
+    /// edge to them is crossed; so do nodes of an earlier interface along which this divider runs, so that
+    /// structures which touch share faces.
+    fn respect_earlier(&self, values: &[f64], on_node: &[u64], signs: &mut [i8]) {
+        let mut host = vec![false; signs.len()];
+        for (t, &r) in self.complex.tets.iter().zip(self.regions.iter()) {
+            if r == 0 {
+                t.iter().for_each(|&v| host[v as usize] = true);
+            }
+        }
+        for v in 0..signs.len() {
+            if !host[v] {
+                signs[v] = 0;
+                continue;
+            }
+            let earlier = on_node[v] & !OUTER;
+            if earlier != 0 && values[v].abs() < TOUCHING * self.lattice.edge_mm {
+                let p = self.complex.points[v];
+                let g = self.field().gradient(p);
+                let along = (0..self.n).filter(|&m| earlier & divider_bit(m) != 0).any(|m| {
+                    let q = self.surfaces.dividers[m].gradient(p);
+                    dot(g, q) < -0.8 * (dot(g, g) * dot(q, q)).sqrt()
+                });
+                if along {
+                    signs[v] = 0;
+                }
+            }
+        }
     }
 
     /// Parameter of the cut from the smaller node, for each crossed edge.
@@ -288,6 +322,7 @@ impl Stage<'_> {
         roots: &[((u32, u32), f64)],
         on_edge: &FxHashMap<(u32, u32), u64>,
         irregular: &[bool],
+        shared: &[bool],
         signs: &[i8],
     ) {
         let old_nodes = self.complex.points.len();

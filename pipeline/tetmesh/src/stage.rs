@@ -188,13 +188,26 @@ fn assemble_best(
             (None, None) => {}
         }
     }
-    for _ in 0..LEVEL_ROUNDS {
-        if !correct_levels(&last, plan, volumes, edge_mm, levels) {
+    // The volumes jump a little as stencils change with the level: keep the best of the rounds.
+    let mut used = levels.clone();
+    let mut best: Option<(f64, Levels, Assembly)> = None;
+    for round in 0.. {
+        let miss = volume_miss(&last, plan, volumes);
+        correct_levels(&last, plan, volumes, edge_mm, levels);
+        if best.as_ref().is_none_or(|b| miss < b.0) {
+            best = Some((miss, used, last));
+        }
+        if miss <= 1.0 || round == LEVEL_ROUNDS {
             break;
         }
         last = plan.assemble(plan.lattice(edge_mm, shift)?, levels)?;
+        used = levels.clone();
     }
-    Ok(last)
+    if let Some((_, used, assembly)) = best {
+        *levels = used;
+        return Ok(assembly);
+    }
+    Err(TetError::Empty { edge_mm })
 }
 
 /// Smaller is better.
@@ -216,24 +229,31 @@ fn halton(n: usize) -> [f64; 3] {
     })
 }
 
-/// Moves each level by volume error / area. Returns whether any volume was further off than is let be.
-fn correct_levels(a: &Assembly, plan: &Plan, volumes: &[f64], edge_mm: f64, levels: &mut Levels) -> bool {
-    let mut off = false;
+/// Largest volume error in units of what is let be.
+fn volume_miss(a: &Assembly, plan: &Plan, volumes: &[f64]) -> f64 {
+    let mut worst = 0.0f64;
+    for (n, &goal) in volumes.iter().enumerate() {
+        if n == 0 || plan.conforming[n - 1] {
+            worst = worst.max((goal - a.volumes_mm3[n]).abs() / (VOLUME_TOLERANCE[n.min(1)] * goal));
+        }
+    }
+    worst
+}
+
+/// Moves each level by volume error / area.
+fn correct_levels(a: &Assembly, plan: &Plan, volumes: &[f64], edge_mm: f64, levels: &mut Levels) {
     let limit = LARGEST_LEVEL * edge_mm;
     for (n, &goal) in volumes.iter().enumerate() {
         if n > 0 && !plan.conforming[n - 1] || a.areas_mm2[n] <= 0.0 {
             continue;
         }
-        let error = goal - a.volumes_mm3[n];
-        off |= error.abs() > VOLUME_TOLERANCE[n.min(1)] * goal;
         let level = if n == 0 {
             &mut levels.outer
         } else {
             &mut levels.dividers[n - 1]
         };
-        *level = (*level + error / a.areas_mm2[n]).clamp(-limit, limit);
+        *level = (*level + (goal - a.volumes_mm3[n]) / a.areas_mm2[n]).clamp(-limit, limit);
     }
-    off
 }
 
 /// Optimises, checks and reports.

@@ -101,6 +101,42 @@ fn tumours_get_faces_of_their_own() {
     }
 }
 
+/// A bulging ball halved into two structures that touch: organ, structure, structure and outside meet.
+#[test]
+fn structures_that_touch_share_faces() {
+    let c = [3.0, -7.0, 11.0];
+    let kidney = shapes::kidney(c);
+    let (lo, hi) = kidney.bounds();
+    let centre = [25.0, -7.0, 20.0];
+    let ball = shapes::ball(centre, 15.0);
+    let organ = shapes::Shape {
+        value: |p| kidney.value(p).min(ball.value(p)),
+        lo: std::array::from_fn(|a| lo[a].min(centre[a] - 15.0)),
+        hi: std::array::from_fn(|a| hi[a].max(centre[a] + 15.0)),
+    };
+    let side = |p: [f64; 3]| (p[2] - centre[2] + 0.3 * (p[0] - centre[0])) / 1.09f64.sqrt();
+    let half = |sign: f64| shapes::Shape {
+        value: move |p| {
+            let funnel = ball_value(p, centre) - 2.0 * shapes::kidney_value(p, c).max(0.0);
+            funnel.max(sign * side(p))
+        },
+        lo: organ.lo,
+        hi: organ.hi,
+    };
+    let (one, two) = (half(1.0), half(-1.0));
+    let whole = counted(organ.lo, organ.hi, |p| organ.value(p) < 0.0);
+    let volume = |d: &dyn Implicit| counted(organ.lo, organ.hi, |p| organ.value(p) < 0.0 && d.value(p) < 0.0);
+    let volumes = [whole, volume(&one), volume(&two)];
+    let (_, report) = build_fem(&organ, &[&one, &two], &volumes, &FemParams::default()).unwrap();
+    check(&report, 12.0, 160.0);
+    let between: Vec<[u16; 2]> = report.topology.interfaces.iter().map(|i| i.regions).collect();
+    assert_eq!(between, [[0, 1], [0, 2], [1, 2]]);
+}
+
+fn ball_value(p: [f64; 3], c: [f64; 3]) -> f64 {
+    (0..3).map(|a| (p[a] - c[a]).powi(2)).sum::<f64>().sqrt() - 15.0
+}
+
 #[test]
 fn thin_layers_are_tagged() {
     let kidney = shapes::kidney([0.0; 3]);
