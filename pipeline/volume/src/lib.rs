@@ -10,16 +10,28 @@
 
 mod affine;
 mod anatomy;
+mod body;
+mod build;
+mod components;
 mod ct;
+mod distance;
+mod divider;
+mod enclosed;
 mod field;
 mod label_tables;
 mod labels;
 mod nifti_io;
 mod read_error;
+mod repair;
+mod selection;
+mod smooth;
 mod totalsegmentator;
+mod volume_error;
+mod volume_report;
 
 pub use affine::Affine;
 pub use anatomy::{Anatomy, Body, CapPlane, ComponentInfo, RegionLabels, Structure, VoxelMask};
+pub use build::build_anatomy;
 pub use ct::{AIR_HU, CtVolume, read_ct, read_ct_from};
 pub use field::{Implicit, ScalarField};
 pub use label_tables::{LabelTable, LabelTableError, PRESET_NAMES, Preset, Selection, preset};
@@ -28,3 +40,6 @@ pub use nifti_io::{
     AffineSource, CtPlacement, ReadLimits, ReadReport, ReadWarning, read_labels, read_labels_from,
 };
 pub use read_error::{Distinct, PatientBox, ReadError, ReadFault};
+pub use selection::{AnatomySelection, ComponentChoice, LabelGrid, RegionSelection, VolumeParams};
+pub use volume_error::VolumeError;
+pub use volume_report::{BodyReport, StrayReport, TopologyReport, VoidReport, VolumeReport};

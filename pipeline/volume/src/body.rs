@@ -1,0 +1,297 @@
+//! From the voxels of one body to its smooth field.
+
+use crate::distance::redistance;
+use crate::enclosed::{Cells, enclosed_volume, solve_shift};
+use crate::smooth::{Amplitudes, Grid, blur, edge_offset};
+use crate::volume_report::BodyReport;
+use crate::{Affine, Body, CapPlane, ScalarField, VolumeError, VolumeParams, VoxelMask};
+use rayon::prelude::*;
+
+/// Box of the ones of a mask: lowest index and exclusive highest. `None`: empty.
+pub(crate) fn occupied(data: &[u8], dims: [usize; 3]) -> Option<([usize; 3], [usize; 3])> {
+    let [nx, ny, _] = dims;
+    let (mut lo, mut hi) = ([usize::MAX; 3], [0; 3]);
+    for (r, row) in data.chunks(nx).enumerate() {
+        let Some(first) = row.iter().position(|&v| v != 0) else {
+            continue;
+        };
+        let last = row.iter().rposition(|&v| v != 0).unwrap_or(first);
+        let (j, k) = (r % ny, r / ny);
+        lo = [lo[0].min(first), lo[1].min(j), lo[2].min(k)];
+        hi = [hi[0].max(last + 1), hi[1].max(j + 1), hi[2].max(k + 1)];
+    }
+    (hi[0] > 0).then_some((lo, hi))
+}
+
+/// Voxels of `data` that pass `keep`, cropped to their box and `margin` voxels more where the volume goes on.
+pub(crate) fn crop_mask(
+    data: &[u8],
+    dims: [usize; 3],
+    affine: &Affine,
+    margin: usize,
+    keep: impl Fn(u8) -> bool,
+) -> Option<VoxelMask> {
+    let ones: Vec<u8> = data.iter().map(|&v| u8::from(keep(v))).collect();
+    let (lo, hi) = occupied(&ones, dims)?;
+    let lo = lo.map(|v| v.saturating_sub(margin));
+    let hi: [usize; 3] = std::array::from_fn(|a| (hi[a] + margin).min(dims[a]));
+    let size: [usize; 3] = std::array::from_fn(|a| hi[a] - lo[a]);
+    let mut out = Vec::with_capacity(size.iter().product());
+    for k in lo[2]..hi[2] {
+        for j in lo[1]..hi[1] {
+            let row = dims[0] * (j + dims[1] * k);
+            out.extend_from_slice(&ones[row + lo[0]..row + hi[0]]);
+        }
+    }
+    Some(VoxelMask {
+        dims: size,
+        affine: affine.cropped(lo),
+        data: out,
+    })
+}
+
+impl VoxelMask {
+    /// Number of ones.
+    pub fn voxels(&self) -> u64 {
+        self.data.iter().map(|&v| u64::from(v)).sum()
+    }
+
+    /// Volume of the ones, mm³.
+    pub fn volume_mm3(&self) -> f64 {
+        self.voxels() as f64 * self.affine.det().abs()
+    }
+}
+
+/// Planes at the outer faces of the crop that the mask touches: a crop leaves a margin except where the scan (or
+/// the box that a support is cut to) ends.
+pub(crate) fn caps_of(mask: &VoxelMask, to_index: &Affine) -> Vec<CapPlane> {
+    let Some((lo, hi)) = occupied(&mask.data, mask.dims) else {
+        return Vec::new();
+    };
+    let mut out = Vec::new();
+    for a in 0..3 {
+        let row = [to_index.m[a][0], to_index.m[a][1], to_index.m[a][2]];
+        let length = row.iter().map(|v| v * v).sum::<f64>().sqrt();
+        for (touches, index, sign) in [
+            (lo[a] == 0, -0.5, -1.0),
+            (hi[a] == mask.dims[a], mask.dims[a] as f64 - 0.5, 1.0),
+        ] {
+            if touches {
+                // The point lies under the middle of the occupied box.
+                let mut p: [f64; 3] = std::array::from_fn(|b| 0.5 * (lo[b] + hi[b]) as f64 - 0.5);
+                p[a] = index;
+                let normal = row.map(|v| sign * v / length);
+                out.push(CapPlane {
+                    point_mm: mask.affine.apply(p),
+                    normal,
+                });
+            }
+        }
+    }
+    out
+}
+
+impl CapPlane {
+    /// Signed distance of `p` to the plane (mm), positive outside of the scan.
+    pub fn distance(&self, p: [f64; 3]) -> f64 {
+        (0..3).map(|a| self.normal[a] * (p[a] - self.point_mm[a])).sum()
+    }
+}
+
+/// Sample distance (mm) by the voxels' spacing.
+pub(crate) fn default_spacing(voxel_mm: [f64; 3]) -> f64 {
+    let mut s = voxel_mm;
+    s.sort_by(f64::total_cmp);
+    s[1].min((s[0] * s[1] * s[2]).cbrt()).clamp(0.3, 1.5)
+}
+
+/// The grid of a body: covers its voxels with a margin, on a lattice through the patient's origin, so that the same
+/// voxels stored in another order get the same samples.
+pub(crate) fn plan_grid(
+    name: &str,
+    mask: &VoxelMask,
+    params: &VolumeParams,
+    warnings: &mut Vec<String>,
+) -> Result<Grid, VolumeError> {
+    let (lo, hi) = occupied(&mask.data, mask.dims).unwrap_or(([0; 3], mask.dims));
+    let (mut min, mut max) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
+    for c in 0..8 {
+        let corner = std::array::from_fn(|a| if c >> a & 1 == 0 { lo[a] } else { hi[a] } as f64 - 0.5);
+        let p = mask.affine.apply(corner);
+        for a in 0..3 {
+            min[a] = min[a].min(p[a]);
+            max[a] = max[a].max(p[a]);
+        }
+    }
+    let mut h = params
+        .field_spacing_mm
+        .unwrap_or_else(|| default_spacing(mask.affine.spacing_mm()));
+    let asked = h;
+    loop {
+        let margin = (4.0 * h).max(3.0) + h;
+        let origin = min.map(|v| ((v - margin) / h).floor() * h);
+        let dims: [f64; 3] = std::array::from_fn(|a| ((max[a] + margin - origin[a]) / h).ceil() + 1.0);
+        let samples = dims[0] * dims[1] * dims[2];
+        let most = params.max_field_samples as f64;
+        if samples <= most {
+            if h > asked {
+                warnings.push(format!(
+                    "field of '{name}': spacing coarsened from {asked:.3} to {h:.3} mm to stay within {most} samples"
+                ));
+            }
+            return Ok(Grid {
+                dims: dims.map(|d| d as usize),
+                origin_mm: origin,
+                spacing_mm: h,
+            });
+        }
+        if params.field_spacing_mm.is_some() || h > 8.0 * asked || !samples.is_finite() {
+            return Err(VolumeError::GridTooLarge {
+                body: name.to_owned(),
+                samples: samples as u64,
+                spacing_mm: h,
+                max: params.max_field_samples as u64,
+            });
+        }
+        h *= (samples / most).cbrt() * 1.02;
+    }
+}
+
+/// Standard deviation of the anti-aliasing along the index axes (voxels), and the mean one (mm) with which a flat
+/// edge comes out: every axis is smoothed by at least its own voxel, and thin slices by as much as the plane, where
+/// the larger voxels make the stairs. A sum over voxel centres lacks the voxel's own variance of 1/12.
+pub(crate) fn smoothing_sigma(voxel_mm: [f64; 3], voxels: f64) -> ([f64; 3], f64) {
+    let mut s = voxel_mm;
+    s.sort_by(f64::total_cmp);
+    let mm = voxel_mm.map(|v| voxels * v.max(s[1]));
+    (
+        std::array::from_fn(|a| mm[a] / voxel_mm[a]),
+        mm.iter().sum::<f64>() / 3.0,
+    )
+}
+
+/// max(values, distance to every cap).
+pub(crate) fn cut_by_caps(values: &mut [f32], grid: &Grid, caps: &[CapPlane]) {
+    if caps.is_empty() {
+        return;
+    }
+    let [nx, ny, _] = grid.dims;
+    values.par_chunks_mut(nx * ny).enumerate().for_each(|(k, slab)| {
+        for j in 0..ny {
+            for cap in caps {
+                let start = cap.distance(grid.position([0, j, k]));
+                let step = cap.normal[0] * grid.spacing_mm;
+                for (i, v) in slab[nx * j..][..nx].iter_mut().enumerate() {
+                    *v = v.max((start + step * i as f64) as f32);
+                }
+            }
+        }
+    });
+}
+
+/// Shifts the level so that the volume inside `values − shift`, cut by the caps, meets the target; the caps stay.
+/// `values` come uncut and leave cut. Returns the shift (mm, outwards).
+pub(crate) fn shift_to_volume(
+    values: &mut [f32],
+    grid: &Grid,
+    caps: &[CapPlane],
+    target_mm3: f64,
+    reach_mm: f64,
+) -> f64 {
+    let cap_at = |n: usize| {
+        let p = grid.position(grid.ijk(n));
+        caps.iter()
+            .map(|c| c.distance(p))
+            .fold(f64::NEG_INFINITY, f64::max)
+    };
+    let mut cut = values.to_vec();
+    cut_by_caps(&mut cut, grid, caps);
+    let reach = reach_mm as f32;
+    let cells = Cells::around(&cut, grid.dims, -reach, reach);
+    drop(cut);
+    let volume = |s: f64| {
+        if caps.is_empty() {
+            cells.volume(grid, &|n| f64::from(values[n]) - s)
+        } else {
+            cells.volume(grid, &|n| (f64::from(values[n]) - s).max(cap_at(n)))
+        }
+    };
+    let shift = solve_shift(volume, target_mm3, reach_mm, 2e-4 * target_mm3, 0.1 * reach_mm);
+    values
+        .par_chunks_mut(1 << 16)
+        .for_each(|part| part.iter_mut().for_each(|v| *v -= shift as f32));
+    cut_by_caps(values, grid, caps);
+    shift
+}
+
+/// Blurred mask as a distance-like function, not yet of the right volume and not cut.
+fn antialiased(mask: &VoxelMask, grid: &Grid, to_index: Affine, params: &VolumeParams) -> Vec<f32> {
+    let (sigma, sigma_mm) = smoothing_sigma(mask.affine.spacing_mm(), params.smoothing_voxels);
+    let mut amplitude = [0.0; 256];
+    amplitude[1] = 1.0;
+    let source = Amplitudes {
+        dims: mask.dims,
+        data: &mask.data,
+        amplitude,
+        to_index,
+    };
+    let mut values = blur(&source, grid, sigma);
+    edge_offset(&mut values, sigma_mm);
+    values
+}
+
+/// Builds the field of a body from its repaired voxels.
+pub(crate) fn build_body(
+    name: &str,
+    drawn: VoxelMask,
+    mask: VoxelMask,
+    slice_axis: usize,
+    params: &VolumeParams,
+    report: &mut BodyReport,
+    warnings: &mut Vec<String>,
+) -> Result<Body, VolumeError> {
+    let to_index = mask.affine.inverse().ok_or(VolumeError::SingularAffine {
+        matrix: mask.affine.m,
+    })?;
+    let grid = plan_grid(name, &mask, params, warnings)?;
+    let caps = caps_of(&mask, &to_index);
+    let target = mask.volume_mm3();
+    let mut values = antialiased(&mask, &grid, to_index, params);
+    let reach = mask.affine.spacing_mm().into_iter().fold(0.0, f64::max);
+    report.level_shift_mm = shift_to_volume(&mut values, &grid, &caps, target, reach);
+    redistance(&mut values, &grid);
+    let field = ScalarField {
+        dims: grid.dims,
+        origin_mm: grid.origin_mm,
+        spacing_mm: grid.spacing_mm,
+        values,
+    };
+    report.name = name.to_owned();
+    report.drawn_mm3 = drawn.volume_mm3();
+    report.voxel_mm3 = target;
+    report.field_mm3 = enclosed_volume(&field.values, &grid);
+    report.spacing_mm = grid.spacing_mm;
+    report.field_dims = grid.dims;
+    report.caps = caps.clone();
+    Ok(Body {
+        name: name.to_owned(),
+        drawn,
+        mask,
+        voxel_volume_mm3: target,
+        field,
+        interpolated: None,
+        slice_axis,
+        caps,
+    })
+}
+
+impl ScalarField {
+    /// The grid of the samples.
+    pub(crate) fn grid(&self) -> Grid {
+        Grid {
+            dims: self.dims,
+            origin_mm: self.origin_mm,
+            spacing_mm: self.spacing_mm,
+        }
+    }
+}
