@@ -43,6 +43,8 @@ struct Improver<'a> {
     stuck_vertex: Vec<u64>,
     stuck_tet: Vec<[u64; 2]>,
     reconnect: bool,
+    /// Composite changes that may still be tried.
+    attempts_left: u64,
     scratch: smooth::Scratch,
 }
 
@@ -136,6 +138,7 @@ fn improved(
         stuck_vertex: Vec::new(),
         stuck_tet: Vec::new(),
         reconnect: params.reconnect,
+        attempts_left: (params.attempts_per_tet.max(0.0) * n) as u64,
         scratch: smooth::Scratch::default(),
     };
     let goals = volumes::Goals::new(&improver, params);

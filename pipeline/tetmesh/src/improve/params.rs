@@ -16,6 +16,9 @@ pub struct ImproveParams {
     /// the mean edge length; where one lies farther already, it may not get worse. 0.08 keeps the root mean
     /// square well under 0.1.
     pub surface_tolerance_edges: f64,
+    /// Composite changes (a collapse, split or flip with the vertex moves that follow) that may be tried, for each
+    /// tet of the input. 0.2 bounds the time on hopeless meshes; good ones need under 0.02.
+    pub attempts_per_tet: f64,
     /// Whether connection may change (flips, collapses, splits); otherwise vertices move, nothing else.
     pub reconnect: bool,
     /// Largest relative change of the number of tets.
@@ -39,6 +42,7 @@ impl Default for ImproveParams {
             max_dihedral_deg: 122.0,
             max_passes: 12,
             surface_tolerance_edges: 0.08,
+            attempts_per_tet: 0.2,
             reconnect: true,
             max_size_change: 0.15,
             hold_volumes: true,

@@ -9,7 +9,7 @@ use super::volumes::Goals;
 use crate::TET_EDGES;
 
 /// Rounds of volume holding, each followed by passes of improvement.
-const HOLDS: usize = 4;
+const HOLDS: usize = 6;
 
 /// Gain in score by which a tet counts as mended.
 const PROGRESS: f64 = 0.03;
@@ -205,10 +205,14 @@ impl Improver<'_> {
     /// Makes a change, then mends the worst of the changed tets by vertex moves and flips, and keeps all of it only
     /// if the worst of the changed tets has become better.
     fn attempt(&mut self, change: impl FnOnce(&mut Self) -> bool) -> bool {
+        if self.attempts_left == 0 {
+            return false;
+        }
         let counts = self.counts;
         self.complex.begin();
         let mut kept = false;
         if change(self) {
+            self.attempts_left -= 1;
             for _ in 0..6 {
                 let (before, after, worst) = self.complex.judge();
                 if after > before + 5.0 * GAIN {

@@ -232,11 +232,6 @@ fn check(before: &TetMesh, after: &TetMesh, surfaces: &Surfaces<'_>, report: &Im
         .flat_map(|t| dihedral_angles(t.map(|v| after.vertices[v as usize])))
         .fold(f64::INFINITY, f64::min);
     assert!((worst - report.after.min_dihedral_deg).abs() < 1e-9);
-    assert!(
-        report.volumes.iter().all(|v| v.error.abs() <= 1e-3),
-        "{:?}",
-        report.volumes
-    );
     assert!(report.after.min_dihedral_deg >= report.before.min_dihedral_deg - 1e-9);
 }
 
@@ -307,7 +302,161 @@ fn two_materials() {
             let report = improve(&mut after, &surfaces, &ImproveParams::default());
             show(&format!("{name} snap {snap} {:?}", start.elapsed()), &report);
             check(&before, &after, &surfaces, &report, 5.0);
+            assert!(
+                report.volumes.iter().all(|v| v.error.abs() <= 1e-3),
+                "{:?}",
+                report.volumes
+            );
             assert!(report.after.min_dihedral_deg >= 20.0 && report.after.max_dihedral_deg <= 140.0);
         }
+    }
+}
+
+/// A ball with a ball inside.
+fn two_balls() -> (impl Implicit, impl Implicit) {
+    (
+        shapes::ball([0.2, 0.1, -0.3], 15.0),
+        shapes::ball([2.0, 1.0, 0.5], 7.0),
+    )
+}
+
+#[test]
+fn volumes_reach_their_targets() {
+    let (outer, inner) = two_balls();
+    let dividers: [&dyn Implicit; 1] = [&inner];
+    let surfaces = Surfaces {
+        outer: &outer,
+        dividers: &dividers,
+    };
+    let before = crude(&outer, &dividers, 4.0, 0.3);
+    let volume = |r: f64| 4.0 / 3.0 * std::f64::consts::PI * r.powi(3);
+    let mut after = before.clone();
+    let targets = VolumeTargets {
+        whole_mm3: Some(volume(15.0)),
+        structures_mm3: vec![Some(volume(7.0))],
+    };
+    let report = improve(
+        &mut after,
+        &surfaces,
+        &ImproveParams {
+            targets,
+            max_shift_edges: 0.2,
+            ..Default::default()
+        },
+    );
+    show("targets", &report);
+    // The polyhedra inscribed in the balls are 2 % and 8 % too small: more than the surfaces may be off.
+    let by_hand = |m: &TetMesh, region: Option<u16>| -> f64 {
+        m.tets
+            .iter()
+            .zip(&m.regions)
+            .filter(|(_, r)| region.is_none_or(|x| x == **r))
+            .map(|(t, _)| tet_volume(t.map(|v| m.vertices[v as usize])))
+            .sum()
+    };
+    assert!((by_hand(&before, None) / volume(15.0) - 1.0).abs() > 0.01);
+    assert!((by_hand(&after, None) / volume(15.0) - 1.0).abs() < 1e-3);
+    assert!((by_hand(&after, Some(1)) / volume(7.0) - 1.0).abs() < 1e-3);
+    assert!(report.volumes[0].shift_mm > 0.0 && report.volumes[1].shift_mm > 0.0);
+    assert!(report.after.min_dihedral_deg > 24.0);
+}
+
+#[test]
+fn without_reconnection_only_vertices_move() {
+    let (outer, inner) = two_balls();
+    let dividers: [&dyn Implicit; 1] = [&inner];
+    let surfaces = Surfaces {
+        outer: &outer,
+        dividers: &dividers,
+    };
+    let before = crude(&outer, &dividers, 4.0, 0.25);
+    let mut after = before.clone();
+    let report = improve(
+        &mut after,
+        &surfaces,
+        &ImproveParams {
+            reconnect: false,
+            ..Default::default()
+        },
+    );
+    assert_eq!((&before.tets, &before.regions), (&after.tets, &after.regions));
+    assert!(report.after.min_dihedral_deg > report.before.min_dihedral_deg + 3.0);
+}
+
+#[test]
+fn unfit_meshes_are_left_alone() {
+    let (outer, inner) = two_balls();
+    let dividers: [&dyn Implicit; 1] = [&inner];
+    let surfaces = Surfaces {
+        outer: &outer,
+        dividers: &dividers,
+    };
+    let good = crude(&outer, &dividers, 5.0, 0.3);
+    let refused = |change: &dyn Fn(&mut TetMesh), word: &str| {
+        let mut mesh = good.clone();
+        change(&mut mesh);
+        let copy = mesh.clone();
+        let report = improve(&mut mesh, &surfaces, &ImproveParams::default());
+        let why = report.unchanged.expect("a reason");
+        assert!(why.contains(word), "{why}");
+        assert_eq!(format!("{:?}", mesh.tets), format!("{:?}", copy.tets));
+        assert_eq!(format!("{:?}", mesh.vertices), format!("{:?}", copy.vertices));
+    };
+    refused(&|m| m.tets.clear(), "no tets");
+    refused(&|m| m.regions.truncate(3), "3 regions");
+    refused(&|m| m.regions[4] = 2, "region 2");
+    refused(&|m| m.tets[4][2] = 1_000_000, "1000000");
+    refused(&|m| m.tets[4][2] = m.tets[4][1], "tet 4");
+    refused(&|m| m.vertices[m.tets[7][0] as usize][1] = f64::NAN, "not finite");
+    refused(
+        &|m| {
+            m.tets.push(m.tets[0]);
+            m.regions.push(0);
+        },
+        "not conforming",
+    );
+    // Two tets on the same side of a face.
+    refused(&|m| m.tets[0].swap(0, 1), "not conforming");
+}
+
+proptest::proptest! {
+    #![proptest_config(proptest::prelude::ProptestConfig::with_cases(6))]
+    /// Lattices at any position and size, snapped or not, with free vertices shaken: all invariants hold, the
+    /// worst angle rises, and a second run gives the same bytes.
+    #[test]
+    fn shaken_meshes_stay_valid(seed in 0u64..1_000_000, h in 5.0..8.0f64, snap in 0.0..0.3f64, r in 5.0..10.0f64) {
+        let mut state = seed;
+        let mut random = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 11) as f64 / (1u64 << 53) as f64 - 0.5
+        };
+        let centre = std::array::from_fn(|_| 3.0 * random());
+        let outer = shapes::ball(centre, 16.0);
+        let inner = shapes::ball([centre[0] + 8.0 + 5.0 * random(), centre[1], centre[2]], r);
+        let dividers: [&dyn Implicit; 1] = [&inner];
+        let surfaces = Surfaces { outer: &outer, dividers: &dividers };
+        let mut before = crude(&outer, &dividers, h, snap);
+        // Shake what is not on a surface, as far as no tet inverts.
+        let mut held = vec![false; before.vertices.len()];
+        for f in sheets::interfaces(&before.tets, &before.regions).unwrap() {
+            f.corners.iter().for_each(|&v| held[v as usize] = true);
+        }
+        for v in (0..held.len()).filter(|&v| !held[v]) {
+            let old = before.vertices[v];
+            before.vertices[v] = old.map(|x| x + 0.3 * h * random());
+            let star = before.tets.iter().filter(|t| t.contains(&(v as u32)));
+            if star.clone().any(|t| tet_volume(t.map(|u| before.vertices[u as usize])) <= 0.0) {
+                before.vertices[v] = old;
+            }
+        }
+        let params = ImproveParams { hold_volumes: false, ..Default::default() };
+        let (mut after, mut again) = (before.clone(), before.clone());
+        let report = improve(&mut after, &surfaces, &params);
+        show("shaken", &report);
+        check(&before, &after, &surfaces, &report, h);
+        proptest::prop_assert!(report.after.min_dihedral_deg > 2.0);
+        let second = improve(&mut again, &surfaces, &params);
+        proptest::prop_assert_eq!(&after, &again);
+        proptest::prop_assert_eq!(&report, &second);
     }
 }
