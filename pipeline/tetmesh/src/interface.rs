@@ -145,9 +145,9 @@ impl Stage<'_> {
             return;
         }
         let roots = self.roots(&values, &signs);
-        let irregular = self.snap(&roots, &on_node, &mut signs);
+        let (irregular, moved) = self.snap(&roots, &on_node, &mut signs);
         let shared: Vec<bool> = on_node.iter().map(|set| set & !OUTER != 0).collect();
-        self.cut(&roots, &on_edge, &irregular, &shared, &signs);
+        self.cut(&roots, &on_edge, [&irregular, &moved, &shared], &signs);
     }
 
     /// Keeps the cut out of structures that were cut before: their inner nodes count as on the divider, so that no
@@ -224,10 +224,16 @@ impl Stage<'_> {
     }
 
     /// Moves nodes with a near cut onto the divider, nodes of other surfaces first. Returns for each node whether it
-    /// lies on another surface or moved otherwise than along a lattice edge: tets around it are outside of the
-    /// proven cases.
-    fn snap(&mut self, roots: &[((u32, u32), f64)], on_node: &[u64], signs: &mut [i8]) -> Vec<bool> {
+    /// lies on another surface or moved otherwise than along a lattice edge (tets around it are outside of the
+    /// proven cases), and whether it moved.
+    fn snap(
+        &mut self,
+        roots: &[((u32, u32), f64)],
+        on_node: &[u64],
+        signs: &mut [i8],
+    ) -> (Vec<bool>, Vec<bool>) {
         let mut irregular: Vec<bool> = on_node.iter().map(|&set| set != 0).collect();
+        let mut moved = vec![false; on_node.len()];
         let mut ends: Vec<(u32, u32, f64)> = Vec::with_capacity(2 * roots.len());
         for &((a, b), t) in roots {
             ends.push((a, b, t));
@@ -269,6 +275,7 @@ impl Stage<'_> {
             if self.may_move(&star[&node], node, q) {
                 self.complex.points[node as usize] = q;
                 signs[node as usize] = 0;
+                moved[node as usize] = true;
                 irregular[node as usize] |=
                     !self.on_lattice(node) || !self.on_lattice(other) || irregular[other as usize];
                 self.counts.snapped += 1;
@@ -278,7 +285,7 @@ impl Stage<'_> {
                 irregular[node as usize] = true;
             }
         }
-        irregular
+        (irregular, moved)
     }
 
     fn on_lattice(&self, node: u32) -> bool {
@@ -321,8 +328,7 @@ impl Stage<'_> {
         &mut self,
         roots: &[((u32, u32), f64)],
         on_edge: &FxHashMap<(u32, u32), u64>,
-        irregular: &[bool],
-        shared: &[bool],
+        [irregular, moved, shared]: [&[bool]; 3],
         signs: &[i8],
     ) {
         let old_nodes = self.complex.points.len();
@@ -344,16 +350,22 @@ impl Stage<'_> {
         };
         for (n, &t) in tets.iter().enumerate() {
             let s = t.map(|v| signs[v as usize]);
-            let touched = s.contains(&0) || (s.contains(&-1) && s.contains(&1));
+            let crossed = s.contains(&-1) && s.contains(&1);
+            let touched = crossed
+                || if regions[n] == 0 {
+                    s.contains(&0)
+                } else {
+                    t.iter().any(|&v| moved[v as usize])
+                };
             to.pieces.clear();
             if s == [0; 4] {
-                self.counts.zzzz += 1;
+                self.counts.zzzz += usize::from(regions[n] == 0);
+                // A gap between structures that share faces is closed.
+                let gap = t.iter().any(|&v| shared[v as usize]);
+                let level = if gap { TOUCHING * self.lattice.edge_mm } else { 0.0 };
                 let c = centroid4(to.complex.corners(t));
-                let side = if self.surfaces.dividers[self.n].value(c) < 0.0 {
-                    -1
-                } else {
-                    1
-                };
+                let inside = self.surfaces.dividers[self.n].value(c) < level;
+                let side = if inside { -1 } else { 1 };
                 to.pieces.push((side, 0, 0, t));
             } else {
                 cut_tet(t, s, &mut to);
