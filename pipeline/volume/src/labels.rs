@@ -103,17 +103,22 @@ impl LabelVolume {
                 found: labels.len(),
             });
         }
-        let mut code_of: BTreeMap<i64, u8> = labels.iter().map(|&v| (v.into(), 0)).collect();
+        // Neighbours are mostly equal: the map is asked only where the label changes.
+        let mut code_of: BTreeMap<i64, u8> = BTreeMap::new();
+        for run in labels.chunk_by(|&a, &b| a.into() == b.into()) {
+            code_of.insert(run[0].into(), 0);
+        }
         if code_of.len() > 256 {
             return Err(LabelVolumeError::TooManyLabels { found: code_of.len() });
         }
         for (n, code) in code_of.values_mut().enumerate() {
             *code = n as u8;
         }
-        let codes: Vec<u8> = labels
-            .iter()
-            .map(|&v| code_of.get(&v.into()).copied().unwrap_or(0))
-            .collect();
+        let mut codes = Vec::with_capacity(labels.len());
+        for run in labels.chunk_by(|&a, &b| a.into() == b.into()) {
+            let code = code_of.get(&run[0].into()).copied().unwrap_or(0);
+            codes.resize(codes.len() + run.len(), code);
+        }
         let mut tally = Tally::new(dims);
         tally.add(&codes);
         let values: Vec<i64> = code_of.into_keys().collect();
