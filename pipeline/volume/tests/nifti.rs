@@ -769,6 +769,30 @@ fn chunks_join() {
     }
 }
 
+/// Background that is not the smallest label has another code than 0, also where nothing but background was read.
+#[test]
+fn labels_below_the_background() {
+    let dims = [100, 100, 10];
+    let mut data = vec![0i16; 100_000];
+    data[50_000..50_010].fill(-3);
+    let (v, _) = read(&nifti_bytes(dims, &oblique(), NiftiType::I16, &data, &plain())).unwrap();
+    assert!(v == LabelVolume::from_labels(dims, oblique(), &data).unwrap());
+    assert_eq!(
+        (v.values, v.counts, v.codes[0]),
+        (vec![-3, 0], vec![10, 99_990], 1)
+    );
+    // And an 8-bit file without any background.
+    let (v, _) = read(&nifti_bytes(
+        dims,
+        &oblique(),
+        NiftiType::U8,
+        &vec![9u8; 100_000],
+        &plain(),
+    ))
+    .unwrap();
+    assert!(v.values == [9] && v.codes.iter().all(|&c| c == 0));
+}
+
 #[test]
 fn progress_goes_to_one() {
     let seen = std::cell::RefCell::new(Vec::new());
