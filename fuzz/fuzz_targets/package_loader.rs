@@ -25,8 +25,7 @@ fuzz_target!(|data: &[u8]| {
 });
 
 fn load(data: &[u8]) {
-    let mut options = ReadOptions::default();
-    options.checksums = false;
+    let options = ReadOptions { checksums: false };
     if let Ok(model) = ModelPackage::read_bytes_with(data, options) {
         let (bytes, _) = model.to_bytes().expect("a model that was read can be written");
         let again = ModelPackage::read_bytes(&bytes).expect("what was written can be read");
