@@ -8,9 +8,13 @@ const MAX_CELLS: f64 = 8e6;
 /// Longest row of cells on an axis.
 const MAX_ROW: f64 = 4096.0;
 
+/// Faces in a chunk: chunks are half a cache line, as walking a list face by face waits for memory at each step.
+const CHUNK: usize = 7;
+
+/// Part of a cell's list. The first chunk of a cell may hold fewer faces, then `NONE`; all others are full.
 #[derive(Clone, Copy)]
-struct Link {
-    face: u32,
+struct Chunk {
+    faces: [u32; CHUNK],
     next: u32,
 }
 
@@ -31,9 +35,10 @@ pub struct TriangleGrid {
     per_mm: f64,
     dims: [usize; 3],
     heads: Vec<u32>,
-    links: Vec<Link>,
+    chunks: Vec<Chunk>,
     free: u32,
     entries: Vec<Entry>,
+    boxes: Vec<Box3>,
     count: usize,
 }
 
@@ -58,9 +63,10 @@ impl TriangleGrid {
             per_mm: 1.0 / cell,
             dims,
             heads: vec![NONE; dims[0] * dims[1] * dims[2]],
-            links: Vec::new(),
+            chunks: Vec::new(),
             free: NONE,
             entries: Vec::new(),
+            boxes: Vec::new(),
             count: 0,
         }
     }
@@ -105,20 +111,18 @@ impl TriangleGrid {
         self.entries.get(face as usize).is_some_and(|e| e.present)
     }
 
-    /// Cells (lowest, highest) that the box of some corners covers; positions outside fall into the border cells.
+    /// Cells (lowest, highest) that a box covers; positions outside fall into the border cells.
     #[inline]
-    fn cells(&self, corners: &Corners) -> ([usize; 3], [usize; 3]) {
-        let at = |v: f64, x: usize| {
-            let c = (v - self.lo[x]) * self.per_mm;
+    fn cells(&self, b: &Box3) -> ([usize; 3], [usize; 3]) {
+        let at = |v: f32, x: usize| {
+            let c = (f64::from(v) - self.lo[x]) * self.per_mm;
             // A float-to-integer cast saturates, and maps NaN to 0.
             (c as usize).min(self.dims[x] - 1)
         };
-        let (mut a, mut b) = ([0; 3], [0; 3]);
-        for x in 0..3 {
-            a[x] = at(corners[0][x].min(corners[1][x]).min(corners[2][x]), x);
-            b[x] = at(corners[0][x].max(corners[1][x]).max(corners[2][x]), x);
-        }
-        (a, b)
+        (
+            std::array::from_fn(|x| at(b.lo[x], x)),
+            std::array::from_fn(|x| at(b.hi[x], x)),
+        )
     }
 
     /// Puts a face into the grid; one already held under this index is replaced.
@@ -132,33 +136,27 @@ impl TriangleGrid {
                 present: false,
             };
             self.entries.resize(n + 1, vacant);
+            self.boxes.resize(
+                n + 1,
+                Box3 {
+                    lo: [0.0; 3],
+                    hi: [0.0; 3],
+                },
+            );
         }
         self.entries[n] = Entry {
             vertices,
             corners,
             present: true,
         };
+        self.boxes[n] = Box3::of(&corners);
         self.count += 1;
-        let (a, b) = self.cells(&corners);
+        let (a, b) = self.cells(&self.boxes[n]);
         for k in a[2]..=b[2] {
             for j in a[1]..=b[1] {
                 for i in a[0]..=b[0] {
                     let cell = i + self.dims[0] * (j + self.dims[1] * k);
-                    let link = Link {
-                        face,
-                        next: self.heads[cell],
-                    };
-                    self.heads[cell] = match self.free {
-                        NONE => {
-                            self.links.push(link);
-                            (self.links.len() - 1) as u32
-                        }
-                        slot => {
-                            self.free = self.links[slot as usize].next;
-                            self.links[slot as usize] = link;
-                            slot
-                        }
-                    };
+                    self.push(cell, face);
                 }
             }
         }
@@ -170,71 +168,98 @@ impl TriangleGrid {
             return false;
         };
         entry.present = false;
-        let corners = entry.corners;
         self.count -= 1;
-        let (a, b) = self.cells(&corners);
+        let (a, b) = self.cells(&self.boxes[face as usize]);
         for k in a[2]..=b[2] {
             for j in a[1]..=b[1] {
                 for i in a[0]..=b[0] {
                     let cell = i + self.dims[0] * (j + self.dims[1] * k);
-                    let mut previous = NONE;
-                    let mut at = self.heads[cell];
-                    while at != NONE && self.links[at as usize].face != face {
-                        previous = at;
-                        at = self.links[at as usize].next;
-                    }
-                    if at == NONE {
-                        continue;
-                    }
-                    let next = self.links[at as usize].next;
-                    match previous {
-                        NONE => self.heads[cell] = next,
-                        p => self.links[p as usize].next = next,
-                    }
-                    self.links[at as usize].next = self.free;
-                    self.free = at;
+                    self.pull(cell, face);
                 }
             }
         }
         true
     }
 
-    /// Calls `visit(face, vertices, corners)` once for each face whose box meets the box of `corners`, until it
-    /// answers true; tells whether it did.
-    pub fn any_near(
-        &self,
-        corners: &Corners,
-        mut visit: impl FnMut(u32, [u32; 3], &Corners) -> bool,
-    ) -> bool {
-        let (a, b) = self.cells(corners);
-        let mut lo = [0.0; 3];
-        let mut hi = [0.0; 3];
-        for x in 0..3 {
-            lo[x] = corners[0][x].min(corners[1][x]).min(corners[2][x]);
-            hi[x] = corners[0][x].max(corners[1][x]).max(corners[2][x]);
+    fn push(&mut self, cell: usize, face: u32) {
+        let head = self.heads[cell];
+        if let Some(chunk) = self.chunks.get_mut(head as usize)
+            && let Some(slot) = chunk.faces.iter_mut().find(|f| **f == NONE)
+        {
+            *slot = face;
+            return;
         }
+        let mut chunk = Chunk {
+            faces: [NONE; CHUNK],
+            next: head,
+        };
+        chunk.faces[0] = face;
+        self.heads[cell] = self.free;
+        match self.chunks.get_mut(self.free as usize) {
+            Some(vacant) => {
+                self.free = vacant.next;
+                *vacant = chunk;
+            }
+            None => {
+                self.heads[cell] = self.chunks.len() as u32;
+                self.chunks.push(chunk);
+            }
+        }
+    }
+
+    fn pull(&mut self, cell: usize, face: u32) {
+        let head = self.heads[cell];
+        let mut at = head;
+        while let Some(chunk) = self.chunks.get(at as usize).copied() {
+            let Some(slot) = chunk.faces.iter().position(|&f| f == face) else {
+                at = chunk.next;
+                continue;
+            };
+            // The last face of the first chunk takes the place.
+            let first = &mut self.chunks[head as usize];
+            let last = first.faces.iter().rposition(|&f| f != NONE).unwrap_or(0);
+            let moved = std::mem::replace(&mut first.faces[last], NONE);
+            if last == 0 {
+                self.heads[cell] = first.next;
+                first.next = self.free;
+                self.free = head;
+            }
+            if (at, slot) != (head, last) {
+                self.chunks[at as usize].faces[slot] = moved;
+            }
+            return;
+        }
+    }
+
+    /// Calls `visit(face, vertices, corners)` once for each face whose box (to single precision) meets that of `corners`, until it
+    /// answers true; tells whether it did.
+    pub fn any_near(&self, corners: &Corners, visit: impl FnMut(u32, [u32; 3], &Corners) -> bool) -> bool {
+        self.any_in(Box3::of(corners), visit)
+    }
+
+    fn any_in(&self, within: Box3, mut visit: impl FnMut(u32, [u32; 3], &Corners) -> bool) -> bool {
+        let (a, b) = self.cells(&within);
         for k in a[2]..=b[2] {
             for j in a[1]..=b[1] {
                 for i in a[0]..=b[0] {
                     let mut at = self.heads[i + self.dims[0] * (j + self.dims[1] * k)];
-                    while at != NONE {
-                        let Link { face, next } = self.links[at as usize];
-                        at = next;
-                        let e = &self.entries[face as usize];
-                        let apart = (0..3).any(|x| {
-                            (e.corners[0][x] > hi[x] && e.corners[1][x] > hi[x] && e.corners[2][x] > hi[x])
-                                || (e.corners[0][x] < lo[x]
-                                    && e.corners[1][x] < lo[x]
-                                    && e.corners[2][x] < lo[x])
-                        });
-                        if apart {
-                            continue;
-                        }
-                        // A face is met in several cells: it counts in the lowest that both boxes cover.
-                        let first = self.cells(&e.corners).0;
-                        let lowest: [usize; 3] = std::array::from_fn(|x| first[x].max(a[x]));
-                        if lowest == [i, j, k] && visit(face, e.vertices, &e.corners) {
-                            return true;
+                    while let Some(chunk) = self.chunks.get(at as usize) {
+                        at = chunk.next;
+                        for &face in chunk.faces.iter().take_while(|f| **f != NONE) {
+                            let bounds = &self.boxes[face as usize];
+                            if !bounds.meets(&within) {
+                                continue;
+                            }
+                            // A face is met in several cells: it counts in the lowest that both boxes cover.
+                            let first = self.cells(bounds).0;
+                            let lowest: [usize; 3] = std::array::from_fn(|x| first[x].max(a[x]));
+                            if lowest != [i, j, k] {
+                                continue;
+                            }
+                            let e = &self.entries[face as usize];
+                            if visit(face, e.vertices, &e.corners) {
+                                return true;
+                            }
                         }
                     }
                 }
@@ -256,13 +281,62 @@ impl TriangleGrid {
     /// For an edge collapse: `candidates` are the surviving faces around both ends in their new shape, `ignore` all
     /// old faces around both.
     pub fn would_any_intersect(&self, candidates: &[([u32; 3], Corners)], ignore: &[u32]) -> bool {
-        candidates.iter().enumerate().any(|(n, (t, c))| {
+        let Some(within) = candidates
+            .iter()
+            .map(|(_, c)| Box3::of(c))
+            .reduce(|a, b| a.union(&b))
+        else {
+            return false;
+        };
+        let among = |n: usize| {
+            let (t, c) = &candidates[n];
             candidates[n + 1..]
                 .iter()
                 .any(|(u, d)| faces_intersect(*t, c, *u, d))
-        }) || candidates
-            .iter()
-            .any(|(t, c)| self.would_intersect(*t, c, ignore))
+        };
+        (0..candidates.len()).any(among)
+            || self.any_in(within, |face, held, held_corners| {
+                let bounds = &self.boxes[face as usize];
+                !ignore.contains(&face)
+                    && candidates.iter().any(|(t, c)| {
+                        bounds.meets(&Box3::of(c)) && faces_intersect(*t, c, held, held_corners)
+                    })
+            })
+    }
+}
+
+/// Closed axis-aligned box, rounded outward to single precision: half the memory to fetch.
+#[derive(Clone, Copy)]
+struct Box3 {
+    lo: [f32; 3],
+    hi: [f32; 3],
+}
+
+impl Box3 {
+    #[inline]
+    fn of(t: &Corners) -> Self {
+        Self {
+            lo: std::array::from_fn(|x| (t[0][x].min(t[1][x]).min(t[2][x]) as f32).next_down()),
+            hi: std::array::from_fn(|x| (t[0][x].max(t[1][x]).max(t[2][x]) as f32).next_up()),
+        }
+    }
+
+    fn union(&self, o: &Self) -> Self {
+        Self {
+            lo: std::array::from_fn(|x| self.lo[x].min(o.lo[x])),
+            hi: std::array::from_fn(|x| self.hi[x].max(o.hi[x])),
+        }
+    }
+
+    /// Not short-circuited: six comparisons are cheaper than a mispredicted branch.
+    #[inline]
+    fn meets(&self, o: &Self) -> bool {
+        (self.lo[0] <= o.hi[0])
+            & (self.hi[0] >= o.lo[0])
+            & (self.lo[1] <= o.hi[1])
+            & (self.hi[1] >= o.lo[1])
+            & (self.lo[2] <= o.hi[2])
+            & (self.hi[2] >= o.lo[2])
     }
 }
 
