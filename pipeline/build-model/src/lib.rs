@@ -1,1 +1,35 @@
-//! Turns a patient's segmented CT into a model package: the recipe, the stage order, progress, report.
+//! Turns a patient's segmented CT into a model package: the recipe, the stage order, progress, summary, report.
+//!
+//! From: a label map, optionally CT intensities and fiducials.
+//! Refuses: what any stage refuses, before anything is written.
+
+pub mod args;
+mod build;
+mod compare;
+mod fiducials;
+mod progress;
+mod recipe;
+mod rows;
+mod stage;
+/// What a build prints.
+pub mod summary;
+
+pub use build::{Built, build};
+pub use compare::{BodyComparison, compare};
+pub use fiducials::{FiducialError, Fiducials};
+pub use progress::Progress;
+pub use recipe::{LabelName, Recipe, TissueParams, UsageError};
+pub use stage::StageRecord;
+
+use std::path::PathBuf;
+
+/// The files that a build reads.
+#[derive(Clone, Debug)]
+pub struct Inputs {
+    /// Label map.
+    pub scan: PathBuf,
+    /// Intensities.
+    pub ct: Option<PathBuf>,
+    /// CSV of name,x,y,z in patient RAS mm.
+    pub fiducials: Option<PathBuf>,
+}
