@@ -33,3 +33,11 @@ pub struct Inputs {
     /// CSV of name,x,y,z in patient RAS mm.
     pub fiducials: Option<PathBuf>,
 }
+
+/// A pool of worker threads (0: one per core).
+///
+/// # Errors
+/// The system starts no threads.
+pub fn thread_pool(threads: usize) -> anyhow::Result<rayon::ThreadPool> {
+    Ok(rayon::ThreadPoolBuilder::new().num_threads(threads).build()?)
+}
