@@ -109,9 +109,9 @@ pub fn build(inputs: &Inputs, recipe: &Recipe, progress: &Progress) -> anyhow::R
         || surface_side(&anatomy, recipe),
         || tet_side(&anatomy, &dividers, recipe),
     );
-    let (mut left, right) = (left?, right?);
+    let (mut left, mut right) = (left?, right?);
     stages.append(&mut left.stages);
-    stages.extend(right.stages);
+    stages.append(&mut right.stages);
 
     progress.stage("skinning");
     let clock = Instant::now();

@@ -1,5 +1,5 @@
 use palpate_surface::{
-    DistanceStats, SliceContourStats, TriMesh, contour_mask, field_to_mesh, mesh_to_field, slice_contour_rms,
+    DistanceStats, SliceContourStats, TriMesh, TriangleBvh, contour_mask, field_to_mesh, mesh_to_field, slice_contour_rms,
     surface_distance_exempting,
 };
 use palpate_volume::{Body, CapPlane, VoxelMask};
@@ -14,11 +14,11 @@ const THICK_SLICE_MM: f64 = 1.25;
 /// Distances of a finished surface to the labels as they were drawn and repaired.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct BodyComparison {
-    /// Both ways to the iso-surface of the repaired voxels, flat caps' rims left out.
+    /// Both ways to the iso-surface of the repaired voxels, flat caps and their rims left out.
     pub to_labels: DistanceStats,
     /// The same to the voxels as drawn (strays dropped, nothing filled or cut), where they differ.
     pub to_drawn: Option<DistanceStats>,
-    /// The rims of flat caps at the scan's border.
+    /// Flat caps at the scan's border, with their rims.
     pub cap_rims: Option<DistanceStats>,
     /// Both ways to the zero set of the slice-interpolated field, where slices are thicker than 1.25 mm.
     pub to_interpolated: Option<[DistanceStats; 2]>,
@@ -46,7 +46,7 @@ pub fn compare(body: &Body, mesh: &TriMesh) -> anyhow::Result<BodyComparison> {
     if body.mask.affine.spacing_mm()[body.slice_axis] > THICK_SLICE_MM {
         if let Some(field) = &body.interpolated {
             let there = mesh_to_field(mesh, field, SAMPLES, &rim)?;
-            let back = field_to_mesh(field, mesh, &rim)?;
+            let back = field_to_mesh(field, &TriangleBvh::build(mesh)?, &rim)?;
             out.to_interpolated = Some([there.measured, back.measured]);
         }
         out.on_slices = Some(slice_contour_rms(mesh, &body.mask, body.slice_axis)?);

@@ -12,7 +12,7 @@ use std::path::Path;
 
 /// Everything that decides what a build makes of a scan. Reads from and writes to one TOML file, and is stored in
 /// the package.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Recipe {
     /// Which labels become which body, and which component is built.
@@ -33,6 +33,29 @@ pub struct Recipe {
     pub embedding: EmbeddingParams,
     /// Material constants that the package carries.
     pub tissue: TissueParams,
+}
+
+impl Default for Recipe {
+    /// No organ yet: flags, a preset or a recipe file name it.
+    fn default() -> Self {
+        let organ = RegionSelection { name: String::new(), labels: Vec::new() };
+        Self {
+            selection: AnatomySelection {
+                organ,
+                structures: Vec::new(),
+                supports: Vec::new(),
+                component: ComponentChoice::default(),
+            },
+            label_names: Vec::new(),
+            volume: VolumeParams::default(),
+            surface: SurfaceParams::default(),
+            particles: ParticleParams::default(),
+            skinning: SkinParams::default(),
+            fem: FemParams::default(),
+            embedding: EmbeddingParams::default(),
+            tissue: TissueParams::default(),
+        }
+    }
 }
 
 /// The name that a table gives to a label.
@@ -86,7 +109,7 @@ impl Recipe {
             v => Ok(v),
         };
         if let Some(n) = count("--faces", args.faces, 100)? {
-            recipe.surface.set_target_faces(n);
+            recipe.surface.target_faces = n;
         }
         if let Some(r) = positive("--radius", args.radius)? {
             recipe.particles.radius_mm = r;

@@ -7,7 +7,7 @@ use palpate_particles::ParticleReport;
 use palpate_skinning::SkinReport;
 use palpate_surface::SurfaceReport;
 use palpate_tetmesh::{EmbeddingReport, FemReport, StructureMode};
-use palpate_volume::{BodyReport, CtVolume, LabelVolume, ReadReport, VolumeReport};
+use palpate_volume::{BodyReport, CtPlacement, CtVolume, LabelVolume, ReadReport, VolumeReport};
 use serde::Serialize;
 use serde_json::{Map, Value};
 
@@ -48,8 +48,8 @@ pub(crate) fn ct(report: &ReadReport, ct: &CtVolume, seconds: f64) -> anyhow::Re
     let [x, y, z] = ct.dims;
     let mut r = record("intensities", seconds, &without_path(report))?
         .row("crop", format!("{x}×{y}×{z} voxels, {lo} to {hi} HU"))
-        .row_if(report.placement.is_some(), "placement", || {
-            report.placement.as_ref().map(ToString::to_string).unwrap_or_default()
+        .row_if(report.placement == Some(CtPlacement::Interpolated), "placement", || {
+            "a grid of its own: interpolated by patient position".into()
         });
     r.warnings.extend(report.warnings.iter().map(ToString::to_string));
     Ok(r)
@@ -197,7 +197,7 @@ pub(crate) fn skinning(reports: &[(String, SkinReport)], seconds: f64) -> anyhow
     let mut r = StageRecord::new("skinning", seconds);
     r.report = by_name(reports.iter().map(|(n, s)| (n.as_str(), s)))?;
     for (name, s) in reports {
-        r = r.row(name, format!("{} points, rest error {:.1e} mm", s.points, s.rest_error_mm));
+        r = r.row(name, format!("{} points, rest error {:.1e} mm", s.points, s.rest_error_max_mm));
     }
     Ok(r)
 }
