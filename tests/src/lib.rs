@@ -8,7 +8,9 @@ use std::path::PathBuf;
 
 /// Folder with real scans, from `PALPATE_DATA`; says loudly that the test is skipped where there is none.
 pub fn real_data(test: &str) -> Option<PathBuf> {
-    let dir = std::env::var_os("PALPATE_DATA").map(PathBuf::from).filter(|d| d.join("kits19").is_dir());
+    let dir = std::env::var_os("PALPATE_DATA")
+        .map(PathBuf::from)
+        .filter(|d| d.join("kits19").is_dir());
     if dir.is_none() {
         println!("SKIPPED {test}: PALPATE_DATA names no folder with real scans");
     }
@@ -17,7 +19,10 @@ pub fn real_data(test: &str) -> Option<PathBuf> {
 
 /// A body of the selection.
 pub fn region(name: &str, labels: &[i64]) -> RegionSelection {
-    RegionSelection { name: name.into(), labels: labels.to_vec() }
+    RegionSelection {
+        name: name.into(),
+        labels: labels.to_vec(),
+    }
 }
 
 /// Default recipe for KiTS19: kidney 1, tumour 2.
@@ -52,7 +57,21 @@ pub fn phantom_recipe(p: &Phantom) -> Recipe {
 pub fn build_phantom(p: &Phantom, recipe: &Recipe) -> anyhow::Result<Built> {
     let dir = tempfile::tempdir()?;
     let scan = dir.path().join(format!("{}.nii.gz", p.name));
-    let gz = NiftiOptions { gz: true, ..NiftiOptions::default() };
-    std::fs::write(&scan, nifti_bytes(p.dims, &p.affine, NiftiType::U8, &p.labels, &gz))?;
-    build(&Inputs { scan, ct: None, fiducials: None }, recipe, &Progress::new(true))
+    let gz = NiftiOptions {
+        gz: true,
+        ..NiftiOptions::default()
+    };
+    std::fs::write(
+        &scan,
+        nifti_bytes(p.dims, &p.affine, NiftiType::U8, &p.labels, &gz),
+    )?;
+    build(
+        &Inputs {
+            scan,
+            ct: None,
+            fiducials: None,
+        },
+        recipe,
+        &Progress::new(true),
+    )
 }

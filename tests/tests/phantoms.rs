@@ -8,8 +8,15 @@ use serde_json::{Value, json};
 use std::path::Path;
 
 fn figure(built: &Built, stage: &str, pointer: &str) -> Value {
-    let s = built.stages.iter().find(|s| s.name == stage).unwrap_or_else(|| panic!("no stage {stage}"));
-    s.report.pointer(pointer).unwrap_or_else(|| panic!("{stage}{pointer} is not in\n{:#}", s.report)).clone()
+    let s = built
+        .stages
+        .iter()
+        .find(|s| s.name == stage)
+        .unwrap_or_else(|| panic!("no stage {stage}"));
+    s.report
+        .pointer(pointer)
+        .unwrap_or_else(|| panic!("{stage}{pointer} is not in\n{:#}", s.report))
+        .clone()
 }
 
 fn record(built: &Built) -> Value {
@@ -18,7 +25,9 @@ fn record(built: &Built) -> Value {
         .surfaces
         .iter()
         .map(|(name, mesh)| {
-            let min_angle = figure(built, "surface", &format!("/{name}/min_angle_deg")).as_f64().unwrap();
+            let min_angle = figure(built, "surface", &format!("/{name}/min_angle_deg"))
+                .as_f64()
+                .unwrap();
             json!({
                 "name": name,
                 "faces": mesh.triangles.len(),
@@ -54,13 +63,19 @@ fn golden(name: &str, found: &Value) {
             std::fs::write(&path, text).unwrap();
             return;
         }
-        Err(e) => panic!("no golden record {}: {e}; PALPATE_ADD_GOLDEN=1 adds it", path.display()),
+        Err(e) => panic!(
+            "no golden record {}: {e}; PALPATE_ADD_GOLDEN=1 adds it",
+            path.display()
+        ),
     };
     if wanted != text {
         if std::env::var_os("PALPATE_UPDATE_GOLDEN").is_some() {
             std::fs::write(&path, text).unwrap();
         } else {
-            panic!("{} differs; PALPATE_UPDATE_GOLDEN=1 rewrites it\nwas {wanted}\nis {text}", path.display());
+            panic!(
+                "{} differs; PALPATE_UPDATE_GOLDEN=1 rewrites it\nwas {wanted}\nis {text}",
+                path.display()
+            );
         }
     }
 }
@@ -71,9 +86,20 @@ fn check(name: &str, p: &Phantom, percent: f64) -> Built {
     let built = build_phantom(p, &phantom_recipe(p)).unwrap_or_else(|e| panic!("{name}: {e:#}"));
     let organ = &built.surfaces[0].1;
     let off = 100.0 * (organ.volume_mm3() / p.body_volume_mm3 - 1.0);
-    assert!(off.abs() < percent, "{name}: volume {off:+.2} % off the analytic body's");
-    assert_eq!(figure(&built, "surface", "/organ/euler_number"), json!(p.euler), "{name}: Euler number");
-    assert_eq!(figure(&built, "surface", "/organ/self_intersections"), json!(0), "{name}");
+    assert!(
+        off.abs() < percent,
+        "{name}: volume {off:+.2} % off the analytic body's"
+    );
+    assert_eq!(
+        figure(&built, "surface", "/organ/euler_number"),
+        json!(p.euler),
+        "{name}: Euler number"
+    );
+    assert_eq!(
+        figure(&built, "surface", "/organ/self_intersections"),
+        json!(0),
+        "{name}"
+    );
     let fem: f64 = built.fem_report.regions.iter().map(|r| r.volume_mm3).sum();
     let off = 100.0 * (fem / p.body_volume_mm3 - 1.0);
     assert!(off.abs() < percent + 0.5, "{name}: FEM volume {off:+.2} % off");
@@ -117,7 +143,10 @@ fn tumours_inside_bulging_and_outside() {
         let built = check(name, &phantoms::kidney([1.2, 1.2, 1.2], place), 0.8);
         let tumour = &built.fem_report.regions[1];
         let off = 100.0 * (tumour.volume_mm3 / phantoms::tumour_volume_mm3(place) - 1.0);
-        assert!(off.abs() < 2.5, "{name}: tumour {off:+.2} % off the analytic ball");
+        assert!(
+            off.abs() < 2.5,
+            "{name}: tumour {off:+.2} % off the analytic ball"
+        );
         assert!(tumour.error_percent.unwrap().abs() < 1.0, "{name}: {tumour:?}");
         for i in &built.fem_report.interfaces {
             assert!(i.rms_edges <= 0.1, "{name}: {i:?}");
@@ -143,12 +172,26 @@ fn a_sheet_is_not_eaten() {
     recipe.fem.target_tets = 40_000;
     let built = build_phantom(&p, &recipe).unwrap_or_else(|e| panic!("{e:#}"));
     let off = 100.0 * (built.surfaces[0].1.volume_mm3() / p.body_volume_mm3 - 1.0);
-    assert!(off.abs() < 6.0, "volume {off:+.2} %: voxels of 0.8 mm hold a sheet of 2.4 mm to about ±5 %");
-    let (lo, hi) = built.surfaces[0].1.vertices.iter().fold(([f64::MAX; 3], [f64::MIN; 3]), |(lo, hi), v| {
-        (std::array::from_fn(|a| lo[a].min(v[a])), std::array::from_fn(|a| hi[a].max(v[a])))
-    });
+    assert!(
+        off.abs() < 6.0,
+        "volume {off:+.2} %: voxels of 0.8 mm hold a sheet of 2.4 mm to about ±5 %"
+    );
+    let (lo, hi) = built.surfaces[0]
+        .1
+        .vertices
+        .iter()
+        .fold(([f64::MAX; 3], [f64::MIN; 3]), |(lo, hi), v| {
+            (
+                std::array::from_fn(|a| lo[a].min(v[a])),
+                std::array::from_fn(|a| hi[a].max(v[a])),
+            )
+        });
     for (a, wide) in [62.4, 52.4, 2.4].into_iter().enumerate() {
-        assert!((hi[a] - lo[a] - wide).abs() < 1.0, "axis {a}: {} instead of {wide} mm", hi[a] - lo[a]);
+        assert!(
+            (hi[a] - lo[a] - wide).abs() < 1.0,
+            "axis {a}: {} instead of {wide} mm",
+            hi[a] - lo[a]
+        );
     }
 }
 
@@ -157,11 +200,17 @@ fn stored_order_of_the_axes_does_not_matter() {
     let p = phantoms::kidney([1.3, 1.3, 1.6], TumourPlace::Bulging);
     let recipe = phantom_recipe(&p);
     let a = build_phantom(&p, &recipe).unwrap();
-    for (order, flip) in [([2, 0, 1], [true, false, true]), ([1, 0, 2], [false, true, false])] {
+    for (order, flip) in [
+        ([2, 0, 1], [true, false, true]),
+        ([1, 0, 2], [false, true, false]),
+    ] {
         let b = build_phantom(&phantoms::reoriented(&p, order, flip), &recipe).unwrap();
         for ((name, x), (_, y)) in a.surfaces.iter().zip(&b.surfaces) {
             let d = surface_distance(x, y, 5000).unwrap().symmetric;
-            assert!(d.rms_mm < 0.05 && d.max_mm < 0.5, "{name} {order:?} {flip:?}: {d:?}");
+            assert!(
+                d.rms_mm < 0.05 && d.max_mm < 0.5,
+                "{name} {order:?} {flip:?}: {d:?}"
+            );
         }
     }
 }
@@ -185,7 +234,8 @@ fn oblique_and_sheared_grids_land_on_the_same_patient_points() {
     };
     let built = build_phantom(&p, &phantom_recipe(&p)).unwrap_or_else(|e| panic!("{e:#}"));
     let mesh = &built.surfaces[0].1;
-    let rms = (mesh.vertices.iter().map(|v| value(*v).powi(2)).sum::<f64>() / mesh.vertices.len() as f64).sqrt();
+    let rms =
+        (mesh.vertices.iter().map(|v| value(*v).powi(2)).sum::<f64>() / mesh.vertices.len() as f64).sqrt();
     assert!(rms < 0.2, "RMS {rms} mm to the analytic ellipsoid");
     let off = 100.0 * (mesh.volume_mm3() / p.body_volume_mm3 - 1.0);
     assert!(off.abs() < 0.8, "volume {off:+.2} %");

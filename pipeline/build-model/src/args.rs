@@ -77,7 +77,12 @@ pub struct BuildArgs {
     #[arg(long, value_name = "NAME", help_heading = "What to build")]
     pub preset: Option<String>,
     /// Label names from an ITK-SNAP label description file.
-    #[arg(long, value_name = "FILE", conflicts_with = "preset", help_heading = "What to build")]
+    #[arg(
+        long,
+        value_name = "FILE",
+        conflicts_with = "preset",
+        help_heading = "What to build"
+    )]
     pub labels: Option<PathBuf>,
     /// The solid body: NAME=L[,L…] (numbers or label names), or a label name alone.
     #[arg(long, value_name = "NAME=L", help_heading = "What to build")]
@@ -104,7 +109,12 @@ pub struct BuildArgs {
     #[arg(long, value_name = "MM", help_heading = "Resolution")]
     pub radius: Option<f64>,
     /// Tetrahedra of the FEM mesh, about.
-    #[arg(long, value_name = "N", conflicts_with = "fem_edge", help_heading = "Resolution")]
+    #[arg(
+        long,
+        value_name = "N",
+        conflicts_with = "fem_edge",
+        help_heading = "Resolution"
+    )]
     pub fem_tets: Option<usize>,
     /// Cell edge of the FEM lattice in mm.
     #[arg(long, value_name = "MM", help_heading = "Resolution")]
@@ -128,7 +138,12 @@ pub struct BuildArgs {
     #[arg(long, value_name = "DIR", help_heading = "Recipe and output")]
     pub report: Option<PathBuf>,
     /// Worker threads (0: one per core). The result does not depend on it.
-    #[arg(long, value_name = "N", default_value_t = 0, help_heading = "Recipe and output")]
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 0,
+        help_heading = "Recipe and output"
+    )]
     pub threads: usize,
     /// No progress and no summary; errors only.
     #[arg(short, long, help_heading = "Recipe and output")]

@@ -9,8 +9,8 @@ use palpate_skinning::{SkinReport, SkinWeights, bind};
 use palpate_surface::{SurfaceReport, TriMesh, build_surface};
 use palpate_tetmesh::{EmbeddingReport, FemReport, TetMesh, build_embedding, build_fem};
 use palpate_volume::{
-    Anatomy, Body, CtVolume, Implicit, LabelGrid, LabelVolume, ReadReport, ScalarField, VolumeReport, build_anatomy,
-    read_ct, read_labels,
+    Anatomy, Body, CtVolume, Implicit, LabelGrid, LabelVolume, ReadReport, ScalarField, VolumeReport,
+    build_anatomy, read_ct, read_labels,
 };
 use serde::Serialize;
 use sha2::{Digest, Sha256};
@@ -80,23 +80,37 @@ pub fn build(inputs: &Inputs, recipe: &Recipe, progress: &Progress) -> anyhow::R
 
     progress.stage("volume");
     let clock = Instant::now();
-    let grid =
-        LabelGrid { dims: labels.dims, affine: labels.affine, codes: &labels.codes, values: &labels.values };
-    let (anatomy, volume_report) =
-        build_anatomy(&grid, &recipe.selection, &recipe.volume, &|_, f| progress.fraction(f))
-            .with_context(|| format!("cannot build from {}", inputs.scan.display()))?;
-    let scan = package::ScanInfo { dims: labels.dims.map(|d| d as u64), affine: labels.affine.m };
+    let grid = LabelGrid {
+        dims: labels.dims,
+        affine: labels.affine,
+        codes: &labels.codes,
+        values: &labels.values,
+    };
+    let (anatomy, volume_report) = build_anatomy(&grid, &recipe.selection, &recipe.volume, &|_, f| {
+        progress.fraction(f)
+    })
+    .with_context(|| format!("cannot build from {}", inputs.scan.display()))?;
+    let scan = package::ScanInfo {
+        dims: labels.dims.map(|d| d as u64),
+        affine: labels.affine.m,
+    };
     // The whole scan is not needed any more; a large one is most of the memory.
     drop(labels);
     stages.push(rows::volume(&volume_report, clock.elapsed().as_secs_f64())?);
 
-    let fiducials = inputs.fiducials.as_deref().map(Fiducials::read).transpose()?.unwrap_or_default();
+    let fiducials = inputs
+        .fiducials
+        .as_deref()
+        .map(Fiducials::read)
+        .transpose()?
+        .unwrap_or_default();
     let ct = match &inputs.ct {
         Some(path) => {
             progress.stage("intensities");
             let clock = Instant::now();
-            let (ct, report) =
-                read_ct(path, anatomy.regions.dims, &anatomy.regions.affine, &|f| progress.fraction(f))?;
+            let (ct, report) = read_ct(path, anatomy.regions.dims, &anatomy.regions.affine, &|f| {
+                progress.fraction(f)
+            })?;
             stages.push(rows::ct(&report, &ct, clock.elapsed().as_secs_f64())?);
             Some(ct)
         }
@@ -104,7 +118,11 @@ pub fn build(inputs: &Inputs, recipe: &Recipe, progress: &Progress) -> anyhow::R
     };
 
     progress.stage("surface, particles, tets");
-    let dividers: Vec<&dyn Implicit> = anatomy.structures.iter().map(|s| &s.divider as &dyn Implicit).collect();
+    let dividers: Vec<&dyn Implicit> = anatomy
+        .structures
+        .iter()
+        .map(|s| &s.divider as &dyn Implicit)
+        .collect();
     let (left, right) = rayon::join(
         || surface_side(&anatomy, recipe),
         || tet_side(&anatomy, &dividers, recipe),
@@ -115,12 +133,20 @@ pub fn build(inputs: &Inputs, recipe: &Recipe, progress: &Progress) -> anyhow::R
 
     progress.stage("skinning");
     let clock = Instant::now();
-    let skins = Skins::bind(&left, &right.embedding, &fiducials, anatomy.structures.len(), recipe)?;
+    let skins = Skins::bind(
+        &left,
+        &right.embedding,
+        &fiducials,
+        anatomy.structures.len(),
+        recipe,
+    )?;
     stages.push(rows::skinning(&skins.reports, clock.elapsed().as_secs_f64())?);
 
     progress.stage("package");
     let clock = Instant::now();
-    let model = assemble(inputs, recipe, &anatomy, scan, &ct, &left, &right, skins, fiducials, &stages)?;
+    let model = assemble(
+        inputs, recipe, &anatomy, scan, &ct, &left, &right, skins, fiducials, &stages,
+    )?;
     stages.push(StageRecord::new("package", clock.elapsed().as_secs_f64()));
     Ok(Built {
         package: model,
@@ -157,7 +183,11 @@ fn surface_side(anatomy: &Anatomy, recipe: &Recipe) -> anyhow::Result<SurfaceSid
     let mut compared = Vec::new();
     for ((body, (_, mesh)), (name, surface)) in bodies.iter().zip(&surfaces).zip(reports) {
         let comparison = compare(body, mesh).with_context(|| format!("distances of {name}"))?;
-        compared.push(SurfaceStage { name, surface, comparison });
+        compared.push(SurfaceStage {
+            name,
+            surface,
+            comparison,
+        });
     }
     let mut stages = vec![
         rows::surface(compared.iter().map(|s| (s.name.as_str(), &s.surface)), seconds)?,
@@ -169,14 +199,23 @@ fn surface_side(anatomy: &Anatomy, recipe: &Recipe) -> anyhow::Result<SurfaceSid
 
     let clock = Instant::now();
     let fields: Vec<&ScalarField> = anatomy.structures.iter().map(|s| &s.divider).collect();
-    let region_of =
-        |p: [f64; 3]| fields.iter().position(|f| f.value(p) < 0.0).map_or(0, |n| u16::try_from(n + 1).unwrap_or(0));
+    let region_of = |p: [f64; 3]| {
+        fields
+            .iter()
+            .position(|f| f.value(p) < 0.0)
+            .map_or(0, |n| u16::try_from(n + 1).unwrap_or(0))
+    };
     let organ = &surfaces[0].1;
     let (particles, clusters, report): (_, _, ParticleReport) =
         build_particles(&organ.vertices, &organ.triangles, &region_of, &recipe.particles)
             .with_context(|| format!("particles of {}", anatomy.organ.name))?;
     stages.push(rows::particles(&report, clock.elapsed().as_secs_f64())?);
-    Ok(SurfaceSide { surfaces, particles, clusters, stages })
+    Ok(SurfaceSide {
+        surfaces,
+        particles,
+        clusters,
+        stages,
+    })
 }
 
 fn tet_side(anatomy: &Anatomy, dividers: &[&dyn Implicit], recipe: &Recipe) -> anyhow::Result<TetSide> {
@@ -195,7 +234,12 @@ fn tet_side(anatomy: &Anatomy, dividers: &[&dyn Implicit], recipe: &Recipe) -> a
     let (embedding, report): (_, EmbeddingReport) = build_embedding(&anatomy.organ.field, &recipe.embedding)
         .with_context(|| format!("embedding mesh of {}", anatomy.organ.name))?;
     stages.push(rows::embedding(&report, clock.elapsed().as_secs_f64())?);
-    Ok(TetSide { fem, fem_report, embedding, stages })
+    Ok(TetSide {
+        fem,
+        fem_report,
+        embedding,
+        stages,
+    })
 }
 
 struct Skins {
@@ -233,12 +277,20 @@ impl Skins {
         } else {
             one("fiducials", &fiducials.positions)?
         };
-        Ok(Self { surfaces, embedding, fiducials, reports })
+        Ok(Self {
+            surfaces,
+            embedding,
+            fiducials,
+            reports,
+        })
     }
 }
 
 fn skin(w: SkinWeights) -> package::Skin {
-    package::Skin { indices: w.indices, weights: w.weights }
+    package::Skin {
+        indices: w.indices,
+        weights: w.weights,
+    }
 }
 
 fn assemble(
@@ -255,17 +307,35 @@ fn assemble(
 ) -> anyhow::Result<package::ModelPackage> {
     let frame = package::Frame::around(&left.surfaces[0].1.vertices);
     let moving = 1 + anatomy.structures.len();
-    let bodies: Vec<(&Body, package::SurfaceKind)> = std::iter::once((&anatomy.organ, package::SurfaceKind::Organ))
-        .chain(anatomy.structures.iter().map(|s| (&s.body, package::SurfaceKind::Structure)))
-        .chain(anatomy.supports.iter().map(|b| (b, package::SurfaceKind::Support)))
-        .collect();
+    let bodies: Vec<(&Body, package::SurfaceKind)> =
+        std::iter::once((&anatomy.organ, package::SurfaceKind::Organ))
+            .chain(
+                anatomy
+                    .structures
+                    .iter()
+                    .map(|s| (&s.body, package::SurfaceKind::Structure)),
+            )
+            .chain(
+                anatomy
+                    .supports
+                    .iter()
+                    .map(|b| (b, package::SurfaceKind::Support)),
+            )
+            .collect();
     let mut weights = skins.surfaces.into_iter();
     let surfaces = bodies
         .iter()
         .zip(&left.surfaces)
         .map(|(&(body, kind), (name, mesh))| {
             let caps: Vec<_> = body.caps.iter().map(|c| (c.point_mm, c.normal)).collect();
-            frame.surface(name, kind, &mesh.vertices, &mesh.triangles, weights.next().map(skin), &caps)
+            frame.surface(
+                name,
+                kind,
+                &mesh.vertices,
+                &mesh.triangles,
+                weights.next().map(skin),
+                &caps,
+            )
         })
         .collect();
     let particles = frame.particles(
@@ -288,7 +358,11 @@ fn assemble(
         .tagged
         .iter()
         .map(|t| package::TaggedStructure {
-            name: anatomy.structures.get(t.structure).map(|s| s.body.name.clone()).unwrap_or_default(),
+            name: anatomy
+                .structures
+                .get(t.structure)
+                .map(|s| s.body.name.clone())
+                .unwrap_or_default(),
             region: u16::try_from(t.structure + 1).unwrap_or(u16::MAX),
             thickness_mm: t.thickness_mm,
             tet_fraction: t.tet_fraction.clone(),
@@ -317,8 +391,10 @@ fn assemble(
     if let Some(path) = &inputs.fiducials {
         digests.push(digest("fiducials", path)?);
     }
-    let report: serde_json::Map<String, serde_json::Value> =
-        stages.iter().map(|s| (s.name.clone(), s.report.clone())).collect();
+    let report: serde_json::Map<String, serde_json::Value> = stages
+        .iter()
+        .map(|s| (s.name.clone(), s.report.clone()))
+        .collect();
     let r = &anatomy.regions;
     let model = package::ModelPackage {
         info: package::PackageInfo {
@@ -334,7 +410,11 @@ fn assemble(
         surfaces,
         particles,
         clusters,
-        embedding: frame.embedding(&right.embedding.vertices, &right.embedding.tets, skin(skins.embedding)),
+        embedding: frame.embedding(
+            &right.embedding.vertices,
+            &right.embedding.tets,
+            skin(skins.embedding),
+        ),
         fem,
         fiducials: frame.fiducials(fiducials.names, &fiducials.positions, skin(skins.fiducials)),
         labels: package::Labels {
@@ -343,9 +423,15 @@ fn assemble(
             data: r.data.clone(),
             names: r.names.clone(),
         },
-        ct: ct.as_ref().map(|c| package::Ct { dims: c.dims, affine: c.affine.m, hu: c.hu.clone() }),
+        ct: ct.as_ref().map(|c| package::Ct {
+            dims: c.dims,
+            affine: c.affine.m,
+            hu: c.hu.clone(),
+        }),
     };
-    model.validate().context("internal error: the assembled model breaks the package's own rules")?;
+    model
+        .validate()
+        .context("internal error: the assembled model breaks the package's own rules")?;
     Ok(model)
 }
 
@@ -355,7 +441,9 @@ fn digest(role: &str, path: &Path) -> anyhow::Result<package::InputDigest> {
     let mut block = vec![0; 1 << 16];
     let mut bytes = 0u64;
     loop {
-        let n = file.read(&mut block).with_context(|| format!("cannot read: {}", path.display()))?;
+        let n = file
+            .read(&mut block)
+            .with_context(|| format!("cannot read: {}", path.display()))?;
         if n == 0 {
             break;
         }
@@ -363,7 +451,11 @@ fn digest(role: &str, path: &Path) -> anyhow::Result<package::InputDigest> {
         hash.update(&block[..n]);
     }
     let sha256 = hash.finalize().iter().map(|b| format!("{b:02x}")).collect();
-    Ok(package::InputDigest { role: role.into(), sha256, bytes })
+    Ok(package::InputDigest {
+        role: role.into(),
+        sha256,
+        bytes,
+    })
 }
 
 impl Built {
@@ -374,7 +466,8 @@ impl Built {
     pub fn timed<T, E>(&mut self, name: &str, work: impl FnOnce(&Self) -> Result<T, E>) -> Result<T, E> {
         let clock = Instant::now();
         let out = work(self)?;
-        self.stages.push(StageRecord::new(name, clock.elapsed().as_secs_f64()));
+        self.stages
+            .push(StageRecord::new(name, clock.elapsed().as_secs_f64()));
         Ok(out)
     }
 }
@@ -382,7 +475,10 @@ impl Built {
 /// Read reports carry the file's name as the user gave it; the package must not depend on where the file lies.
 pub(crate) fn without_path(report: &ReadReport) -> ReadReport {
     let mut r = report.clone();
-    r.file = Path::new(&r.file).file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    r.file = Path::new(&r.file)
+        .file_name()
+        .map(|n| n.to_string_lossy().into_owned())
+        .unwrap_or_default();
     r
 }
 

@@ -1,6 +1,6 @@
 use palpate_surface::{
-    DistanceStats, SliceContourStats, TriMesh, TriangleBvh, contour_mask, field_to_mesh, mesh_to_field, slice_contour_rms,
-    surface_distance_exempting,
+    DistanceStats, SliceContourStats, TriMesh, TriangleBvh, contour_mask, field_to_mesh, mesh_to_field,
+    slice_contour_rms, surface_distance_exempting,
 };
 use palpate_volume::{Body, CapPlane, VoxelMask};
 use serde::{Deserialize, Serialize};

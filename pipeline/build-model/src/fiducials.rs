@@ -22,7 +22,9 @@ pub enum FiducialError {
         path: String,
     },
     /// A line is not `name,x,y,z`.
-    #[error("fiducial line {line}: found {found:?}, expected name,x,y,z with numbers in patient RAS mm: {path}")]
+    #[error(
+        "fiducial line {line}: found {found:?}, expected name,x,y,z with numbers in patient RAS mm: {path}"
+    )]
     Line {
         /// Line number from 1.
         line: usize,
@@ -44,7 +46,10 @@ impl Fiducials {
     /// whose last three cells are not numbers (a heading).
     pub fn read(path: &Path) -> Result<Self, FiducialError> {
         let shown = path.display().to_string();
-        let bytes = std::fs::read(path).map_err(|source| FiducialError::Io { source, path: shown.clone() })?;
+        let bytes = std::fs::read(path).map_err(|source| FiducialError::Io {
+            source,
+            path: shown.clone(),
+        })?;
         Self::parse(&String::from_utf8_lossy(&bytes), &shown)
     }
 
@@ -59,7 +64,9 @@ impl Fiducials {
             let point = match cells.as_slice() {
                 [_, xyz @ ..] if xyz.len() == 3 => {
                     let v: Vec<f64> = xyz.iter().filter_map(|c| c.parse().ok()).collect();
-                    <[f64; 3]>::try_from(v).ok().filter(|p| p.iter().all(|c| c.is_finite()))
+                    <[f64; 3]>::try_from(v)
+                        .ok()
+                        .filter(|p| p.iter().all(|c| c.is_finite()))
                 }
                 _ => None,
             };
@@ -68,7 +75,9 @@ impl Fiducials {
                     out.names.push(cells[0].to_string());
                     out.positions.push(p);
                 }
-                None if n == 0 && cells.len() == 4 && cells[1..].iter().all(|c| c.parse::<f64>().is_err()) => {}
+                None if n == 0
+                    && cells.len() == 4
+                    && cells[1..].iter().all(|c| c.parse::<f64>().is_err()) => {}
                 None => {
                     return Err(FiducialError::Line {
                         line: n + 1,
@@ -79,7 +88,9 @@ impl Fiducials {
             }
         }
         if out.names.is_empty() {
-            return Err(FiducialError::Empty { path: path.to_string() });
+            return Err(FiducialError::Empty {
+                path: path.to_string(),
+            });
         }
         Ok(out)
     }
@@ -98,14 +109,20 @@ mod tests {
 
     #[test]
     fn faults_name_the_line() {
-        for (text, line) in
-            [("b1,1,2,3\nb2,1,2\n", 2), ("b1,1,x,3\n", 1), ("a,1,2,3\nb,1,2,nan\n", 2), ("a,1,2,3\nb,q,r,s\n", 2)]
-        {
+        for (text, line) in [
+            ("b1,1,2,3\nb2,1,2\n", 2),
+            ("b1,1,x,3\n", 1),
+            ("a,1,2,3\nb,1,2,nan\n", 2),
+            ("a,1,2,3\nb,q,r,s\n", 2),
+        ] {
             match Fiducials::parse(text, "f.csv") {
                 Err(FiducialError::Line { line: l, .. }) => assert_eq!(l, line, "{text}"),
                 other => panic!("{text}: {other:?}"),
             }
         }
-        assert!(matches!(Fiducials::parse("# nothing\n", "f.csv"), Err(FiducialError::Empty { .. })));
+        assert!(matches!(
+            Fiducials::parse("# nothing\n", "f.csv"),
+            Err(FiducialError::Empty { .. })
+        ));
     }
 }

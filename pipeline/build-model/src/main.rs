@@ -26,7 +26,11 @@ fn main() -> ExitCode {
         Ok(Ok(())) => ExitCode::SUCCESS,
         Ok(Err(e)) => {
             eprintln!("error: {e:#}");
-            ExitCode::from(if e.downcast_ref::<UsageError>().is_some() { USAGE } else { FAULT })
+            ExitCode::from(if e.downcast_ref::<UsageError>().is_some() {
+                USAGE
+            } else {
+                FAULT
+            })
         }
         Err(_) => ExitCode::from(INTERNAL),
     }
@@ -39,10 +43,18 @@ fn run(cli: Cli) -> anyhow::Result<()> {
         Some(Command::Verify { package }) => {
             let report = palpate_package::verify(&package)?;
             print(&report.to_string())?;
-            anyhow::ensure!(report.passed(), "the package fails its checks: {}", package.display());
+            anyhow::ensure!(
+                report.passed(),
+                "the package fails its checks: {}",
+                package.display()
+            );
             Ok(())
         }
-        Some(Command::Export { package, format, output }) => {
+        Some(Command::Export {
+            package,
+            format,
+            output,
+        }) => {
             let model = palpate_package::ModelPackage::read(&package)?;
             let format = match format {
                 Format::Stl => palpate_package::Format::Stl,
@@ -51,7 +63,12 @@ fn run(cli: Cli) -> anyhow::Result<()> {
                 Format::Vtu => palpate_package::Format::Vtu,
             };
             let files = palpate_package::export(&model, format, &output)?;
-            print(&files.iter().map(|f| format!("{}\n", f.display())).collect::<String>())
+            print(
+                &files
+                    .iter()
+                    .map(|f| format!("{}\n", f.display()))
+                    .collect::<String>(),
+            )
         }
     }
 }
@@ -63,7 +80,9 @@ fn run_build(args: BuildArgs) -> anyhow::Result<()> {
         return print(&recipe.to_toml()?);
     }
     let Some(scan) = args.scan.clone() else {
-        return Err(UsageError("a label map is needed: build-model LABELS … -o PACKAGE (see --help)".into()).into());
+        return Err(
+            UsageError("a label map is needed: build-model LABELS … -o PACKAGE (see --help)".into()).into(),
+        );
     };
     let Some(output) = args.output.clone() else {
         return Err(UsageError("an output is needed: -o PACKAGE".into()).into());
@@ -72,10 +91,17 @@ fn run_build(args: BuildArgs) -> anyhow::Result<()> {
     // Before minutes of work, not after.
     writable(&output)?;
     if args.threads > 0 {
-        rayon::ThreadPoolBuilder::new().num_threads(args.threads).build_global().context("cannot start threads")?;
+        rayon::ThreadPoolBuilder::new()
+            .num_threads(args.threads)
+            .build_global()
+            .context("cannot start threads")?;
     }
     let progress = Progress::new(args.quiet || args.json);
-    let inputs = Inputs { scan, ct: args.ct.clone(), fiducials: args.fiducials.clone() };
+    let inputs = Inputs {
+        scan,
+        ct: args.ct.clone(),
+        fiducials: args.fiducials.clone(),
+    };
     let mut built = build(&inputs, &recipe, &progress)?;
     if let Some(dir) = &args.report {
         progress.stage("report");
@@ -100,8 +126,13 @@ fn writable(path: &Path) -> anyhow::Result<()> {
         Some(d) if !d.as_os_str().is_empty() => d,
         _ => Path::new("."),
     };
-    anyhow::ensure!(!path.is_dir(), "the output is a folder, expected a file name such as kidney.palpate: {}", path.display());
-    std::fs::create_dir_all(dir).with_context(|| format!("cannot make the output folder: {}", dir.display()))?;
+    anyhow::ensure!(
+        !path.is_dir(),
+        "the output is a folder, expected a file name such as kidney.palpate: {}",
+        path.display()
+    );
+    std::fs::create_dir_all(dir)
+        .with_context(|| format!("cannot make the output folder: {}", dir.display()))?;
     let probe = dir.join(format!(".palpate-probe-{}", std::process::id()));
     std::fs::write(&probe, b"")
         .and_then(|()| std::fs::remove_file(&probe))

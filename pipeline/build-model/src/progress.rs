@@ -14,13 +14,18 @@ impl Progress {
         let terminal = std::io::stderr().is_terminal();
         let bar = (!quiet && terminal).then(|| {
             let bar = ProgressBar::new(1000);
-            if let Ok(style) = ProgressStyle::with_template("{spinner} [{elapsed}] {msg:22} {bar:30} {percent:>3}%") {
+            if let Ok(style) =
+                ProgressStyle::with_template("{spinner} [{elapsed}] {msg:22} {bar:30} {percent:>3}%")
+            {
                 bar.set_style(style);
             }
             bar.enable_steady_tick(Duration::from_millis(120));
             bar
         });
-        Self { bar, lines: !quiet && !terminal }
+        Self {
+            bar,
+            lines: !quiet && !terminal,
+        }
     }
 
     /// A stage begins.

@@ -5,7 +5,8 @@ use palpate_skinning::SkinParams;
 use palpate_surface::SurfaceParams;
 use palpate_tetmesh::{EmbeddingParams, FemParams};
 use palpate_volume::{
-    AnatomySelection, ComponentChoice, LabelTable, PRESET_NAMES, RegionSelection, Selection, VolumeParams, preset,
+    AnatomySelection, ComponentChoice, LabelTable, PRESET_NAMES, RegionSelection, Selection, VolumeParams,
+    preset,
 };
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -38,7 +39,10 @@ pub struct Recipe {
 impl Default for Recipe {
     /// No organ yet: flags, a preset or a recipe file name it.
     fn default() -> Self {
-        let organ = RegionSelection { name: String::new(), labels: Vec::new() };
+        let organ = RegionSelection {
+            name: String::new(),
+            labels: Vec::new(),
+        };
         Self {
             selection: AnatomySelection {
                 organ,
@@ -78,7 +82,9 @@ pub struct TissueParams {
 
 impl Default for TissueParams {
     fn default() -> Self {
-        Self { density_g_per_mm3: 1.05e-3 }
+        Self {
+            density_g_per_mm3: 1.05e-3,
+        }
     }
 }
 
@@ -136,8 +142,8 @@ impl Recipe {
     /// # Errors
     /// A file that cannot be read, or is not a recipe; the message names line and key.
     pub fn read(path: &Path) -> anyhow::Result<Self> {
-        let text =
-            std::fs::read_to_string(path).with_context(|| format!("cannot read the recipe: {}", path.display()))?;
+        let text = std::fs::read_to_string(path)
+            .with_context(|| format!("cannot read the recipe: {}", path.display()))?;
         toml::from_str(&text).with_context(|| format!("not a recipe: {}", path.display()))
     }
 
@@ -152,11 +158,18 @@ impl Recipe {
     fn select(&mut self, args: &BuildArgs) -> anyhow::Result<()> {
         let usage = |e: &dyn std::error::Error| anyhow::Error::from(UsageError(e.to_string()));
         let mut table = LabelTable {
-            entries: self.label_names.iter().map(|l| (l.label, l.name.clone())).collect(),
+            entries: self
+                .label_names
+                .iter()
+                .map(|l| (l.label, l.name.clone()))
+                .collect(),
         };
         if let Some(name) = &args.preset {
             let p = preset(name).ok_or_else(|| {
-                UsageError(format!("no preset is named {name:?}; there are {}", PRESET_NAMES.join(", ")))
+                UsageError(format!(
+                    "no preset is named {name:?}; there are {}",
+                    PRESET_NAMES.join(", ")
+                ))
             })?;
             table = p.table;
             match (&args.organ, p.organ) {
@@ -180,7 +193,9 @@ impl Recipe {
             self.selection.organ = region(Selection::parse(text, &table).map_err(|e| usage(&e))?);
         }
         let parse = |list: &[String]| -> anyhow::Result<Vec<RegionSelection>> {
-            list.iter().map(|t| Ok(region(Selection::parse(t, &table).map_err(|e| usage(&e))?))).collect()
+            list.iter()
+                .map(|t| Ok(region(Selection::parse(t, &table).map_err(|e| usage(&e))?)))
+                .collect()
         };
         if !args.structure.is_empty() {
             self.selection.structures = parse(&args.structure)?;
@@ -199,7 +214,12 @@ impl Recipe {
             .collect();
         self.label_names = wanted
             .iter()
-            .filter_map(|&label| Some(LabelName { label, name: table.name(label)?.to_string() }))
+            .filter_map(|&label| {
+                Some(LabelName {
+                    label,
+                    name: table.name(label)?.to_string(),
+                })
+            })
             .collect();
         Ok(())
     }
@@ -215,15 +235,20 @@ impl Recipe {
                 "no organ: give --organ NAME=L[,L…], or a --preset that has one, or a --recipe".into(),
             ));
         }
-        let bodies: Vec<&RegionSelection> =
-            std::iter::once(&s.organ).chain(&s.structures).chain(&s.supports).collect();
+        let bodies: Vec<&RegionSelection> = std::iter::once(&s.organ)
+            .chain(&s.structures)
+            .chain(&s.supports)
+            .collect();
         for (n, a) in bodies.iter().enumerate() {
             if a.labels.is_empty() {
                 return Err(UsageError(format!("the body {} has no labels", a.name)));
             }
             for b in &bodies[..n] {
                 if a.name == b.name {
-                    return Err(UsageError(format!("two bodies are named {}; give each its own name", a.name)));
+                    return Err(UsageError(format!(
+                        "two bodies are named {}; give each its own name",
+                        a.name
+                    )));
                 }
                 if let Some(l) = a.labels.iter().find(|l| b.labels.contains(l)) {
                     return Err(UsageError(format!(
@@ -238,7 +263,10 @@ impl Recipe {
 }
 
 fn region(s: Selection) -> RegionSelection {
-    RegionSelection { name: s.name, labels: s.labels }
+    RegionSelection {
+        name: s.name,
+        labels: s.labels,
+    }
 }
 
 fn component(text: &str) -> Result<ComponentChoice, UsageError> {
@@ -248,7 +276,9 @@ fn component(text: &str) -> Result<ComponentChoice, UsageError> {
         "right" => Ok(ComponentChoice::Right),
         n => match n.parse::<usize>() {
             Ok(n) if n > 0 => Ok(ComponentChoice::Index(n)),
-            _ => Err(UsageError(format!("--component {text}: expected largest, left, right or a number from 1"))),
+            _ => Err(UsageError(format!(
+                "--component {text}: expected largest, left, right or a number from 1"
+            ))),
         },
     }
 }

@@ -12,7 +12,10 @@ use serde::Serialize;
 use serde_json::{Map, Value};
 
 fn record(name: &str, seconds: f64, report: &impl Serialize) -> anyhow::Result<StageRecord> {
-    Ok(StageRecord { report: serde_json::to_value(report)?, ..StageRecord::new(name, seconds) })
+    Ok(StageRecord {
+        report: serde_json::to_value(report)?,
+        ..StageRecord::new(name, seconds)
+    })
 }
 
 fn by_name<'a, T: Serialize + 'a>(items: impl Iterator<Item = (&'a str, &'a T)>) -> anyhow::Result<Value> {
@@ -35,8 +38,17 @@ pub(crate) fn read(report: &ReadReport, labels: &LabelVolume, seconds: f64) -> a
     let [x, y, z] = report.dims;
     let [a, b, c] = report.spacing_mm;
     let mut r = record("read", seconds, &without_path(report))?
-        .row("scan", format!("{x}×{y}×{z} voxels of {a:.3}×{b:.3}×{c:.3} mm, {}", report.voxel_type))
-        .row("file", format!("{}, affine from {}", report.format, report.affine_source))
+        .row(
+            "scan",
+            format!(
+                "{x}×{y}×{z} voxels of {a:.3}×{b:.3}×{c:.3} mm, {}",
+                report.voxel_type
+            ),
+        )
+        .row(
+            "file",
+            format!("{}, affine from {}", report.format, report.affine_source),
+        )
         .row("labels", labelled(labels).to_string());
     r.warnings.extend(report.warnings.iter().map(ToString::to_string));
     Ok(r)
@@ -48,9 +60,11 @@ pub(crate) fn ct(report: &ReadReport, ct: &CtVolume, seconds: f64) -> anyhow::Re
     let [x, y, z] = ct.dims;
     let mut r = record("intensities", seconds, &without_path(report))?
         .row("crop", format!("{x}×{y}×{z} voxels, {lo} to {hi} HU"))
-        .row_if(report.placement == Some(CtPlacement::Interpolated), "placement", || {
-            "a grid of its own: interpolated by patient position".into()
-        });
+        .row_if(
+            report.placement == Some(CtPlacement::Interpolated),
+            "placement",
+            || "a grid of its own: interpolated by patient position".into(),
+        );
     r.warnings.extend(report.warnings.iter().map(ToString::to_string));
     Ok(r)
 }
@@ -58,7 +72,11 @@ pub(crate) fn ct(report: &ReadReport, ct: &CtVolume, seconds: f64) -> anyhow::Re
 pub(crate) fn volume(report: &VolumeReport, seconds: f64) -> anyhow::Result<StageRecord> {
     let mut r = record("volume", seconds, report)?;
     for (n, c) in report.components.iter().enumerate() {
-        let side = if c.side.is_empty() { String::new() } else { format!(", {}", c.side) };
+        let side = if c.side.is_empty() {
+            String::new()
+        } else {
+            format!(", {}", c.side)
+        };
         let chosen = if c.chosen { "  ← built" } else { "" };
         r = r.row(
             format!("component {}", n + 1),
@@ -69,13 +87,27 @@ pub(crate) fn volume(report: &VolumeReport, seconds: f64) -> anyhow::Result<Stag
         .row_if(report.strays.count > 0, "strays dropped", || {
             format!("{}, {}", report.strays.count, ml(report.strays.volume_mm3))
         })
-        .row_if(report.loose_structures.count > 0, "structure parts off the organ", || {
-            format!("{} dropped, {}", report.loose_structures.count, ml(report.loose_structures.volume_mm3))
-        })
+        .row_if(
+            report.loose_structures.count > 0,
+            "structure parts off the organ",
+            || {
+                format!(
+                    "{} dropped, {}",
+                    report.loose_structures.count,
+                    ml(report.loose_structures.volume_mm3)
+                )
+            },
+        )
         .row_if(report.slices_interpolated, "slices", || {
-            format!("{:.2} mm apart: shape interpolated between them", report.voxel_mm[report.slice_axis])
+            format!(
+                "{:.2} mm apart: shape interpolated between them",
+                report.voxel_mm[report.slice_axis]
+            )
         });
-    for b in std::iter::once(&report.organ).chain(&report.structures).chain(&report.supports) {
+    for b in std::iter::once(&report.organ)
+        .chain(&report.structures)
+        .chain(&report.supports)
+    {
         r = body(r, b);
     }
     r.warnings = volume_warnings(report);
@@ -96,7 +128,9 @@ fn body(mut r: StageRecord, b: &BodyReport) -> StageRecord {
                 b.spacing_mm
             ),
         )
-        .row_if(b.strays.count > 0, "  strays", || format!("{}, {:.0} mm³", b.strays.count, b.strays.volume_mm3))
+        .row_if(b.strays.count > 0, "  strays", || {
+            format!("{}, {:.0} mm³", b.strays.count, b.strays.volume_mm3)
+        })
         .row_if(b.voids.filled > 0, "  voids filled", || {
             format!("{}, {:.0} mm³", b.voids.filled, b.voids.filled_mm3)
         })
@@ -106,9 +140,14 @@ fn body(mut r: StageRecord, b: &BodyReport) -> StageRecord {
                 t.euler_before, t.euler_after, t.cuts, t.removed_mm3, t.fills, t.added_mm3
             )
         })
-        .row_if(!b.caps.is_empty(), "  cut by the border", || format!("{} flat ends", b.caps.len()));
+        .row_if(!b.caps.is_empty(), "  cut by the border", || {
+            format!("{} flat ends", b.caps.len())
+        });
     r.warn_if(!b.caps.is_empty(), || {
-        format!("{} is cut off by the scan's border: its flat ends are not anatomy", b.name)
+        format!(
+            "{} is cut off by the scan's border: its flat ends are not anatomy",
+            b.name
+        )
     })
 }
 
@@ -130,7 +169,10 @@ pub(crate) fn surface<'a>(
             )
             .row(
                 "  shape",
-                format!("smallest angle {:.1}°, quality mean {:.3} min {:.3}", s.min_angle_deg, s.mean_quality, s.min_quality),
+                format!(
+                    "smallest angle {:.1}°, quality mean {:.3} min {:.3}",
+                    s.min_angle_deg, s.mean_quality, s.min_quality
+                ),
             )
             .row(
                 "  to iso-surface",
@@ -154,11 +196,18 @@ pub(crate) fn comparison<'a>(
         r = r
             .row(
                 format!("{name} to labels"),
-                format!("RMS {:.3} mm, p99 {:.3} mm, Hausdorff {:.2} mm", d.rms_mm, d.p99_mm, d.max_mm),
+                format!(
+                    "RMS {:.3} mm, p99 {:.3} mm, Hausdorff {:.2} mm",
+                    d.rms_mm, d.p99_mm, d.max_mm
+                ),
             )
             .row_if(c.to_interpolated.is_some(), "  to interpolated slices", || {
                 let [a, b] = c.to_interpolated.unwrap_or_default();
-                format!("RMS {:.3} mm, p99 {:.3} mm", a.rms_mm.max(b.rms_mm), a.p99_mm.max(b.p99_mm))
+                format!(
+                    "RMS {:.3} mm, p99 {:.3} mm",
+                    a.rms_mm.max(b.rms_mm),
+                    a.p99_mm.max(b.p99_mm)
+                )
             })
             .row_if(c.on_slices.is_some(), "  on the slices' planes", || {
                 let s = c.on_slices.unwrap_or_default();
@@ -176,7 +225,10 @@ pub(crate) fn particles(p: &ParticleReport, seconds: f64) -> anyhow::Result<Stag
     Ok(record("particles", seconds, p)?
         .row(
             "particles",
-            format!("{} at {} mm (nearest mean {:.2}, min {:.2} mm)", p.particles, p.radius_mm, p.nearest_mean_mm, p.nearest_min_mm),
+            format!(
+                "{} at {} mm (nearest mean {:.2}, min {:.2} mm)",
+                p.particles, p.radius_mm, p.nearest_mean_mm, p.nearest_min_mm
+            ),
         )
         .row(
             "clusters",
@@ -186,10 +238,16 @@ pub(crate) fn particles(p: &ParticleReport, seconds: f64) -> anyhow::Result<Stag
             ),
         )
         .row_if(p.coverage_max_mm.is_some(), "coverage", || {
-            format!("no interior point further than {:.2} mm from a particle", p.coverage_max_mm.unwrap_or(0.0))
+            format!(
+                "no interior point further than {:.2} mm from a particle",
+                p.coverage_max_mm.unwrap_or(0.0)
+            )
         })
         .warn_if(p.cluster_components > p.mesh_components, || {
-            format!("the clusters fall into {} parts, the body has {}", p.cluster_components, p.mesh_components)
+            format!(
+                "the clusters fall into {} parts, the body has {}",
+                p.cluster_components, p.mesh_components
+            )
         }))
 }
 
@@ -197,7 +255,10 @@ pub(crate) fn skinning(reports: &[(String, SkinReport)], seconds: f64) -> anyhow
     let mut r = StageRecord::new("skinning", seconds);
     r.report = by_name(reports.iter().map(|(n, s)| (n.as_str(), s)))?;
     for (name, s) in reports {
-        r = r.row(name, format!("{} points, rest error {:.1e} mm", s.points, s.rest_error_max_mm));
+        r = r.row(
+            name,
+            format!("{} points, rest error {:.1e} mm", s.points, s.rest_error_max_mm),
+        );
     }
     Ok(r)
 }
@@ -205,7 +266,13 @@ pub(crate) fn skinning(reports: &[(String, SkinReport)], seconds: f64) -> anyhow
 pub(crate) fn fem(f: &FemReport, names: &[&str], seconds: f64) -> anyhow::Result<StageRecord> {
     let (a, b) = (&f.after, &f.before);
     let mut r = record("fem", seconds, f)?
-        .row("tets", format!("{} with {} vertices, lattice edge {:.2} mm", f.tets, f.vertices, f.edge_mm))
+        .row(
+            "tets",
+            format!(
+                "{} with {} vertices, lattice edge {:.2} mm",
+                f.tets, f.vertices, f.edge_mm
+            ),
+        )
         .row(
             "dihedral angles",
             format!(
@@ -213,11 +280,22 @@ pub(crate) fn fem(f: &FemReport, names: &[&str], seconds: f64) -> anyhow::Result
                 a.min_dihedral_deg, a.max_dihedral_deg, b.min_dihedral_deg, b.max_dihedral_deg
             ),
         )
-        .row("outer boundary", format!("RMS {:.3} mm, Euler number {}", f.outer_rms_mm, f.topology.boundary_euler))
-        .row_if(f.sign_edits > 0, "lattice signs mended", || f.sign_edits.to_string());
+        .row(
+            "outer boundary",
+            format!(
+                "RMS {:.3} mm, Euler number {}",
+                f.outer_rms_mm, f.topology.boundary_euler
+            ),
+        )
+        .row_if(f.sign_edits > 0, "lattice signs mended", || {
+            f.sign_edits.to_string()
+        });
     for region in &f.regions {
         let name = names.get(region.region).copied().unwrap_or("?");
-        let error = region.error_percent.map(|e| format!(", volume {e:+.3} %")).unwrap_or_default();
+        let error = region
+            .error_percent
+            .map(|e| format!(", volume {e:+.3} %"))
+            .unwrap_or_default();
         r = r.row(name, format!("{} tets{error}", region.tets));
         if region.mode != StructureMode::Conforming {
             let thickness = region.thickness_mm.unwrap_or(0.0);
@@ -233,7 +311,10 @@ pub(crate) fn fem(f: &FemReport, names: &[&str], seconds: f64) -> anyhow::Result
         let name = names.get(i.structure + 1).copied().unwrap_or("?");
         r = r.row(
             format!("  faces of {name}"),
-            format!("{} on its boundary, RMS {:.3} mm = {:.3} edge", i.faces, i.rms_mm, i.rms_edges),
+            format!(
+                "{} on its boundary, RMS {:.3} mm = {:.3} edge",
+                i.faces, i.rms_mm, i.rms_edges
+            ),
         );
     }
     Ok(r)

@@ -20,7 +20,13 @@ pub struct StageRecord {
 impl StageRecord {
     /// A stage without figures.
     pub fn new(name: &str, seconds: f64) -> Self {
-        Self { name: name.into(), seconds, report: Value::Null, rows: Vec::new(), warnings: Vec::new() }
+        Self {
+            name: name.into(),
+            seconds,
+            report: Value::Null,
+            rows: Vec::new(),
+            warnings: Vec::new(),
+        }
     }
 
     /// Adds a figure.

@@ -7,7 +7,14 @@ use std::path::Path;
 /// The summary that a person judges a build by.
 pub fn text(built: &Built, output: &Path, written: &Written, seconds: f64) -> String {
     let mut out = String::new();
-    let wide = built.stages.iter().flat_map(|s| &s.rows).map(|(n, _)| n.chars().count()).max().unwrap_or(0) + 2;
+    let wide = built
+        .stages
+        .iter()
+        .flat_map(|s| &s.rows)
+        .map(|(n, _)| n.chars().count())
+        .max()
+        .unwrap_or(0)
+        + 2;
     for s in &built.stages {
         let _ = writeln!(out, "{:<width$}{:>7.2} s", s.name, s.seconds, width = wide + 2);
         for (name, figure) in &s.rows {
@@ -27,7 +34,9 @@ pub fn text(built: &Built, output: &Path, written: &Written, seconds: f64) -> St
         output.display(),
         written.bytes as f64 / 1e6,
         written.digest.chars().take(12).collect::<String>(),
-        peak_mb().map(|mb| format!(", peak {mb:.0} MB")).unwrap_or_default()
+        peak_mb()
+            .map(|mb| format!(", peak {mb:.0} MB"))
+            .unwrap_or_default()
     );
     out
 }
@@ -51,7 +60,10 @@ pub fn json(built: &Built, output: &Path, written: &Written, seconds: f64) -> an
 }
 
 fn warnings(stages: &[StageRecord]) -> Vec<String> {
-    stages.iter().flat_map(|s| s.warnings.iter().map(move |w| format!("{}: {w}", s.name))).collect()
+    stages
+        .iter()
+        .flat_map(|s| s.warnings.iter().map(move |w| format!("{}: {w}", s.name)))
+        .collect()
 }
 
 /// Largest resident set of this process so far, where the system tells it.

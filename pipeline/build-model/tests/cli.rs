@@ -19,10 +19,19 @@ impl Dir {
         std::fs::write(self.path(name), bytes).unwrap();
     }
     fn phantom(&self, name: &str, p: &Phantom) {
-        let gz = NiftiOptions { gz: true, ..NiftiOptions::default() };
-        self.write(name, &nifti_bytes(p.dims, &p.affine, NiftiType::U8, &p.labels, &gz));
+        let gz = NiftiOptions {
+            gz: true,
+            ..NiftiOptions::default()
+        };
+        self.write(
+            name,
+            &nifti_bytes(p.dims, &p.affine, NiftiType::U8, &p.labels, &gz),
+        );
         if let Some(ct) = &p.ct {
-            self.write(&format!("ct-{name}"), &nifti_bytes(p.dims, &p.affine, NiftiType::I16, ct, &gz));
+            self.write(
+                &format!("ct-{name}"),
+                &nifti_bytes(p.dims, &p.affine, NiftiType::I16, ct, &gz),
+            );
         }
     }
     fn run(&self, args: &str) -> Output {
@@ -34,7 +43,11 @@ impl Dir {
     }
     fn ok(&self, args: &str) -> String {
         let out = self.run(args);
-        assert!(out.status.success(), "{args}\n{}", String::from_utf8_lossy(&out.stderr));
+        assert!(
+            out.status.success(),
+            "{args}\n{}",
+            String::from_utf8_lossy(&out.stderr)
+        );
         String::from_utf8(out.stdout).unwrap()
     }
     /// Runs, expects this exit status and returns what stands on standard error.
@@ -67,7 +80,13 @@ fn builds_inspects_verifies_exports() {
         "k.nii.gz --ct ct-k.nii.gz --organ kidney=1 --structure tumour=2 --support cradle=3 --fiducials beads.csv \
          -o k.palpate --report rep",
     );
-    for part in ["component 1", "particles", "tumour", "dihedral angles", "k.palpate"] {
+    for part in [
+        "component 1",
+        "particles",
+        "tumour",
+        "dihedral angles",
+        "k.palpate",
+    ] {
         assert!(text.contains(part), "{part} is not in\n{text}");
     }
     let html = std::fs::read_to_string(d.path("rep/index.html")).unwrap();
@@ -75,10 +94,20 @@ fn builds_inspects_verifies_exports() {
     let shown = d.ok("inspect k.palpate");
     assert!(shown.contains("kidney") && shown.contains("fem"), "{shown}");
     d.ok("verify k.palpate");
-    for (format, file) in [("stl", "kidney.stl"), ("ply", "tumour.ply"), ("obj", "kidney.obj"), ("vtu", "fem.vtu")] {
+    for (format, file) in [
+        ("stl", "kidney.stl"),
+        ("ply", "tumour.ply"),
+        ("obj", "kidney.obj"),
+        ("vtu", "fem.vtu"),
+    ] {
         let listed = d.ok(&format!("export k.palpate --format {format} -o out-{format}"));
         assert!(listed.contains(file), "{listed}");
-        assert!(std::fs::metadata(d.path(&format!("out-{format}/{file}"))).unwrap().len() > 1000);
+        assert!(
+            std::fs::metadata(d.path(&format!("out-{format}/{file}")))
+                .unwrap()
+                .len()
+                > 1000
+        );
     }
 }
 
@@ -92,7 +121,10 @@ fn recipe_goes_round_and_gives_the_same_package() {
     assert_eq!(d.ok("--recipe recipe.toml --print-recipe"), recipe);
     d.ok(&format!("k.nii.gz {flags} -q -o flags.palpate"));
     d.ok("k.nii.gz --recipe recipe.toml -q --threads 1 -o recipe.palpate");
-    assert_eq!(std::fs::read(d.path("flags.palpate")).unwrap(), std::fs::read(d.path("recipe.palpate")).unwrap());
+    assert_eq!(
+        std::fs::read(d.path("flags.palpate")).unwrap(),
+        std::fs::read(d.path("recipe.palpate")).unwrap()
+    );
 }
 
 #[test]
@@ -105,19 +137,38 @@ fn wrong_usage_exits_2() {
         ("k.nii.gz -o k.palpate", "--organ"),
         ("k.nii.gz --preset kits -o k.palpate", "kits19"),
         ("k.nii.gz --preset totalsegmentator -o k.palpate", "--organ"),
-        ("k.nii.gz --preset totalsegmentator --organ kidny_left -o k.palpate", "kidney_left"),
-        ("k.nii.gz --organ kidney=1 --structure tumour=1 -o k.palpate", "label 1"),
-        ("k.nii.gz --organ kidney=1 --structure kidney=2 -o k.palpate", "own name"),
-        ("k.nii.gz --organ kidney=1 --component upper -o k.palpate", "upper"),
+        (
+            "k.nii.gz --preset totalsegmentator --organ kidny_left -o k.palpate",
+            "kidney_left",
+        ),
+        (
+            "k.nii.gz --organ kidney=1 --structure tumour=1 -o k.palpate",
+            "label 1",
+        ),
+        (
+            "k.nii.gz --organ kidney=1 --structure kidney=2 -o k.palpate",
+            "own name",
+        ),
+        (
+            "k.nii.gz --organ kidney=1 --component upper -o k.palpate",
+            "upper",
+        ),
         ("k.nii.gz --organ kidney=1 --radius 0 -o k.palpate", "--radius"),
         ("k.nii.gz --organ kidney=1 --radius nan -o k.palpate", "--radius"),
-        ("k.nii.gz --organ kidney=1 --fem-tets 5000 --fem-edge 4 -o k.palpate", "--fem-edge"),
+        (
+            "k.nii.gz --organ kidney=1 --fem-tets 5000 --fem-edge 4 -o k.palpate",
+            "--fem-edge",
+        ),
         ("k.nii.gz --unknown", "--unknown"),
     ] {
         let err = d.fails(2, args);
         assert!(err.contains(part), "{args}: {err}");
     }
-    assert_eq!(d.files(), ["ct-k.nii.gz", "k.nii.gz"], "wrong usage must leave nothing");
+    assert_eq!(
+        d.files(),
+        ["ct-k.nii.gz", "k.nii.gz"],
+        "wrong usage must leave nothing"
+    );
 }
 
 #[test]
@@ -128,7 +179,10 @@ fn bad_input_is_one_clear_error_and_leaves_nothing() {
     let plain = NiftiOptions::default();
     let whole = nifti_bytes(k.dims, &k.affine, NiftiType::U8, &k.labels, &plain);
     let gz = std::fs::read(d.path("k.nii.gz")).unwrap();
-    d.write("text.nii", b"this is no scan at all, only some text that goes on for a while");
+    d.write(
+        "text.nii",
+        b"this is no scan at all, only some text that goes on for a while",
+    );
     d.write("empty.nii", b"");
     d.write("short.nii", &whole[..whole.len() / 2]);
     d.write("short.nii.gz", &gz[..gz.len() / 2]);
@@ -141,15 +195,30 @@ fn bad_input_is_one_clear_error_and_leaves_nothing() {
     d.write("negative.nii", &header);
     let mut flat = k.affine;
     flat.m[1] = flat.m[0];
-    d.write("singular.nii", &nifti_bytes(k.dims, &flat, NiftiType::U8, &k.labels, &plain));
+    d.write(
+        "singular.nii",
+        &nifti_bytes(k.dims, &flat, NiftiType::U8, &k.labels, &plain),
+    );
     let hu = k.ct.clone().unwrap_or_default();
-    let noisy: Vec<i16> = hu.iter().enumerate().map(|(n, v)| v + (n * 7919 % 1500) as i16).collect();
-    d.write("ct.nii", &nifti_bytes(k.dims, &k.affine, NiftiType::I16, &noisy, &plain));
+    let noisy: Vec<i16> = hu
+        .iter()
+        .enumerate()
+        .map(|(n, v)| v + (n * 7919 % 1500) as i16)
+        .collect();
+    d.write(
+        "ct.nii",
+        &nifti_bytes(k.dims, &k.affine, NiftiType::I16, &noisy, &plain),
+    );
     let mut far = k.affine;
     far.m[0][3] += 5000.0;
     d.write("far.nii", &nifti_bytes(k.dims, &far, NiftiType::I16, &hu, &plain));
-    let speck: Vec<u8> = (0..k.labels.len()).map(|n| u8::from(n == k.labels.len() / 2)).collect();
-    d.write("speck.nii", &nifti_bytes(k.dims, &k.affine, NiftiType::U8, &speck, &plain));
+    let speck: Vec<u8> = (0..k.labels.len())
+        .map(|n| u8::from(n == k.labels.len() / 2))
+        .collect();
+    d.write(
+        "speck.nii",
+        &nifti_bytes(k.dims, &k.affine, NiftiType::U8, &speck, &plain),
+    );
     d.write("beads.csv", b"a,1,2\n");
     d.write("bad.toml", b"[particles]\nradius = 3\n");
     d.write("torn.palpate", b"PK\x03\x04 but no more");
@@ -166,15 +235,27 @@ fn bad_input_is_one_clear_error_and_leaves_nothing() {
         (format!("negative.nii {build}"), &["negative.nii", "-5"]),
         (format!("singular.nii {build}"), &["singular.nii"]),
         (format!("ct.nii {build}"), &["ct.nii", "intensity"]),
-        ("k.nii.gz --organ liver=9 -o out.palpate".into(), &["k.nii.gz", "9", "1", "2"]),
+        (
+            "k.nii.gz --organ liver=9 -o out.palpate".into(),
+            &["k.nii.gz", "9", "1", "2"],
+        ),
         (format!("speck.nii {build}"), &["speck.nii"]),
         (format!("k.nii.gz --ct far.nii {build}"), &["far.nii"]),
         (format!("k.nii.gz --component 7 {build}"), &["7"]),
         (format!("k.nii.gz --component left {build}"), &["left"]),
-        (format!("k.nii.gz --fiducials beads.csv {build}"), &["beads.csv", "line 1"]),
-        (format!("k.nii.gz --recipe bad.toml {build}"), &["bad.toml", "radius"]),
+        (
+            format!("k.nii.gz --fiducials beads.csv {build}"),
+            &["beads.csv", "line 1"],
+        ),
+        (
+            format!("k.nii.gz --recipe bad.toml {build}"),
+            &["bad.toml", "radius"],
+        ),
         (format!("k.nii.gz --radius 200 {build}"), &["200"]),
-        ("k.nii.gz --organ kidney=1 -o k.nii.gz/out.palpate".into(), &["k.nii.gz"]),
+        (
+            "k.nii.gz --organ kidney=1 -o k.nii.gz/out.palpate".into(),
+            &["k.nii.gz"],
+        ),
         ("inspect torn.palpate".into(), &["torn.palpate"]),
         ("verify missing.palpate".into(), &["missing.palpate"]),
         ("export torn.palpate --format stl -o e".into(), &["torn.palpate"]),
@@ -208,7 +289,17 @@ fn a_full_disk_is_reported() {
     let d = Dir::new();
     d.phantom("k.nii.gz", &coarse_kidney());
     let out = Command::new(env!("CARGO_BIN_EXE_build-model"))
-        .args(["k.nii.gz", "--organ", "kidney=1", "--radius", "5", "--fem-tets", "2000", "-o", "k.palpate"])
+        .args([
+            "k.nii.gz",
+            "--organ",
+            "kidney=1",
+            "--radius",
+            "5",
+            "--fem-tets",
+            "2000",
+            "-o",
+            "k.palpate",
+        ])
         .current_dir(d.0.path())
         .stdout(std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap())
         .output()
@@ -223,7 +314,10 @@ fn sides_are_the_patients() {
     let p = phantoms::pair([1.0, 1.0, 1.25]);
     d.phantom("pair.nii.gz", &p);
     // The same patient stored with the first axis running the other way.
-    d.phantom("flipped.nii.gz", &phantoms::reoriented(&p, [0, 1, 2], [true, false, false]));
+    d.phantom(
+        "flipped.nii.gz",
+        &phantoms::reoriented(&p, [0, 1, 2], [true, false, false]),
+    );
     for file in ["pair.nii.gz", "flipped.nii.gz"] {
         for (side, volume) in [("right", 17.16), ("left", 11.49)] {
             let json = d.ok(&format!(
@@ -231,7 +325,10 @@ fn sides_are_the_patients() {
             ));
             let v: serde_json::Value = serde_json::from_str(&json).unwrap();
             let drawn = v["stages"][1]["report"]["organ"]["drawn_mm3"].as_f64().unwrap() / 1000.0;
-            assert!((drawn - volume).abs() < 0.02 * volume, "{file} {side}: {drawn} mL");
+            assert!(
+                (drawn - volume).abs() < 0.02 * volume,
+                "{file} {side}: {drawn} mL"
+            );
         }
     }
 }

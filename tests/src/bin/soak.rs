@@ -14,7 +14,11 @@ struct Case {
 }
 
 fn cases(data: &Path) -> Vec<Case> {
-    let scan = |n: &str| data.join(format!("kits19/case_{n}_segmentation.nii.gz")).display().to_string();
+    let scan = |n: &str| {
+        data.join(format!("kits19/case_{n}_segmentation.nii.gz"))
+            .display()
+            .to_string()
+    };
     let mut out = Vec::new();
     for (n, components) in [
         ("00000", &["left", "right"][..]),
@@ -27,15 +31,39 @@ fn cases(data: &Path) -> Vec<Case> {
         ("00151", &["largest"]),
     ] {
         for c in components {
-            let args = [&scan(n), "--preset", "kits19", "--component", c].map(String::from).to_vec();
-            out.push(Case { name: format!("{n} {c}"), args });
+            let args = [&scan(n), "--preset", "kits19", "--component", c]
+                .map(String::from)
+                .to_vec();
+            out.push(Case {
+                name: format!("{n} {c}"),
+                args,
+            });
         }
     }
     for organ in ["kidney_right", "kidney_left", "liver", "spleen"] {
-        let seg = data.join("totalsegmentator/example_seg.nii.gz").display().to_string();
-        let ct = data.join("totalsegmentator/example_ct_sm.nii.gz").display().to_string();
-        let args = [&seg, "--ct", &ct, "--preset", "totalsegmentator", "--organ", organ].map(String::from).to_vec();
-        out.push(Case { name: organ.into(), args });
+        let seg = data
+            .join("totalsegmentator/example_seg.nii.gz")
+            .display()
+            .to_string();
+        let ct = data
+            .join("totalsegmentator/example_ct_sm.nii.gz")
+            .display()
+            .to_string();
+        let args = [
+            &seg,
+            "--ct",
+            &ct,
+            "--preset",
+            "totalsegmentator",
+            "--organ",
+            organ,
+        ]
+        .map(String::from)
+        .to_vec();
+        out.push(Case {
+            name: organ.into(),
+            args,
+        });
     }
     out
 }
@@ -69,16 +97,27 @@ fn run() -> anyhow::Result<bool> {
     std::fs::create_dir_all(&folder)?;
     let program = std::env::current_exe()?.with_file_name("build-model");
     if !program.exists() {
-        bail!("build the binary first: cargo build --release --bin build-model ({})", program.display());
+        bail!(
+            "build the binary first: cargo build --release --bin build-model ({})",
+            program.display()
+        );
     }
     let mut quality = String::new();
     let mut times = String::new();
     let mut faults = Vec::new();
-    for case in cases(&data).iter().filter(|c| only.is_empty() || only.iter().any(|o| c.name.contains(o.as_str()))) {
+    for case in cases(&data)
+        .iter()
+        .filter(|c| only.is_empty() || only.iter().any(|o| c.name.contains(o.as_str())))
+    {
         let package = folder.join(format!("{}.palpate", case.name.replace(' ', "-")));
         let mut best: Option<Value> = None;
         for _ in 0..repeat {
-            let out = Command::new(&program).args(&case.args).arg("--json").arg("-o").arg(&package).output()?;
+            let out = Command::new(&program)
+                .args(&case.args)
+                .arg("--json")
+                .arg("-o")
+                .arg(&package)
+                .output()?;
             if !out.status.success() {
                 break;
             }
@@ -89,19 +128,35 @@ fn run() -> anyhow::Result<bool> {
             }
         }
         let Some(v) = best else {
-            let out = Command::new(&program).args(&case.args).args(["-q", "-o"]).arg(&package).output()?;
-            faults.push(format!("{}: {}", case.name, String::from_utf8_lossy(&out.stderr).trim()));
+            let out = Command::new(&program)
+                .args(&case.args)
+                .args(["-q", "-o"])
+                .arg(&package)
+                .output()?;
+            faults.push(format!(
+                "{}: {}",
+                case.name,
+                String::from_utf8_lossy(&out.stderr).trim()
+            ));
             eprintln!("{}: FAILED", case.name);
             continue;
         };
         let verified = Command::new(&program).arg("verify").arg(&package).output()?;
         if !verified.status.success() {
-            faults.push(format!("{}: does not verify: {}", case.name, String::from_utf8_lossy(&verified.stdout)));
+            faults.push(format!(
+                "{}: does not verify: {}",
+                case.name,
+                String::from_utf8_lossy(&verified.stdout)
+            ));
         }
         judge(&case.name, &v, &mut faults);
         quality.push_str(&quality_rows(&case.name, &v));
         times.push_str(&time_row(&case.name, &v));
-        eprintln!("{}: {:.2} s", case.name, v["seconds"].as_f64().unwrap_or(f64::NAN));
+        eprintln!(
+            "{}: {:.2} s",
+            case.name,
+            v["seconds"].as_f64().unwrap_or(f64::NAN)
+        );
     }
     println!(
         "| case, body | Euler drawn → built | changed mm³ | faces | smallest angle ° | mean quality | volume % | RMS / p99 to labels mm | \
@@ -119,7 +174,10 @@ fn run() -> anyhow::Result<bool> {
 }
 
 fn stage<'a>(v: &'a Value, name: &str) -> &'a Value {
-    v["stages"].as_array().and_then(|s| s.iter().find(|s| s["name"] == name)).unwrap_or(&Value::Null)
+    v["stages"]
+        .as_array()
+        .and_then(|s| s.iter().find(|s| s["name"] == name))
+        .unwrap_or(&Value::Null)
 }
 
 fn num(v: &Value) -> f64 {
@@ -145,7 +203,10 @@ fn bodies(v: &Value) -> Vec<(String, &Value, &Value, &Value)> {
 }
 
 fn last_step(s: &Value) -> &Value {
-    s["steps"].as_array().and_then(|l| l.last()).unwrap_or(&Value::Null)
+    s["steps"]
+        .as_array()
+        .and_then(|l| l.last())
+        .unwrap_or(&Value::Null)
 }
 
 fn quality_rows(case: &str, v: &Value) -> String {
@@ -187,7 +248,11 @@ fn time_row(case: &str, v: &Value) -> String {
     let t = |n: &str| format!("{:.2}", num(&stage(v, n)["seconds"]));
     let list = |k: &str, field: &str| {
         let items = f[k].as_array().cloned().unwrap_or_default();
-        items.iter().map(|r| format!("{:+.2}", num(&r[field]))).collect::<Vec<_>>().join(", ")
+        items
+            .iter()
+            .map(|r| format!("{:+.2}", num(&r[field])))
+            .collect::<Vec<_>>()
+            .join(", ")
     };
     let p = &stage(v, "particles")["report"];
     format!(
@@ -220,14 +285,39 @@ fn judge(case: &str, v: &Value, faults: &mut Vec<String>) {
         }
     };
     for (name, b, s, d) in bodies(v) {
-        miss(&name, "self-intersections", num(&s["self_intersections"]), num(&s["self_intersections"]) == 0.0);
-        miss(&name, "smallest angle", num(&s["min_angle_deg"]), num(&s["min_angle_deg"]) >= 15.0);
-        miss(&name, "mean quality", num(&s["mean_quality"]), num(&s["mean_quality"]) >= 0.9);
+        miss(
+            &name,
+            "self-intersections",
+            num(&s["self_intersections"]),
+            num(&s["self_intersections"]) == 0.0,
+        );
+        miss(
+            &name,
+            "smallest angle",
+            num(&s["min_angle_deg"]),
+            num(&s["min_angle_deg"]) >= 15.0,
+        );
+        miss(
+            &name,
+            "mean quality",
+            num(&s["mean_quality"]),
+            num(&s["mean_quality"]) >= 0.9,
+        );
         let reference = num(&b["voxel_mm3"]);
         let off = (num(&last_step(s)["volume_mm3"]) - reference).abs();
-        miss(&name, "surface volume error mm³", off, off <= (0.005 * reference).max(20.0));
+        miss(
+            &name,
+            "surface volume error mm³",
+            off,
+            off <= (0.005 * reference).max(20.0),
+        );
         let field = (num(&b["field_mm3"]) - reference).abs();
-        miss(&name, "field volume error mm³", field, field <= (0.005 * reference).max(20.0));
+        miss(
+            &name,
+            "field volume error mm³",
+            field,
+            field <= (0.005 * reference).max(20.0),
+        );
         if d["on_slices"].is_null() {
             let (rms, p99) = (num(&d["to_labels"]["rms_mm"]), num(&d["to_labels"]["p99_mm"]));
             miss(&name, "RMS to labels", rms, rms <= 0.25);
@@ -235,8 +325,18 @@ fn judge(case: &str, v: &Value, faults: &mut Vec<String>) {
         } else {
             for way in 0..2 {
                 let w = &d["to_interpolated"][way];
-                miss(&name, "RMS to slices", num(&w["rms_mm"]), num(&w["rms_mm"]) <= 0.25);
-                miss(&name, "p99 to slices", num(&w["p99_mm"]), num(&w["p99_mm"]) <= 0.8);
+                miss(
+                    &name,
+                    "RMS to slices",
+                    num(&w["rms_mm"]),
+                    num(&w["rms_mm"]) <= 0.25,
+                );
+                miss(
+                    &name,
+                    "p99 to slices",
+                    num(&w["p99_mm"]),
+                    num(&w["p99_mm"]) <= 0.8,
+                );
             }
             let o = &d["on_slices"];
             let voxels = num(&o["through"]["rms_mm"]) / num(&o["in_plane_voxel_mm"]);
@@ -246,19 +346,35 @@ fn judge(case: &str, v: &Value, faults: &mut Vec<String>) {
     let f = &stage(v, "fem")["report"];
     let one = f["interfaces"].as_array().is_none_or(Vec::is_empty);
     let (low, high) = if one { (22.0, 130.0) } else { (12.0, 160.0) };
-    let (a, b) = (num(&f["after"]["min_dihedral_deg"]), num(&f["after"]["max_dihedral_deg"]));
+    let (a, b) = (
+        num(&f["after"]["min_dihedral_deg"]),
+        num(&f["after"]["max_dihedral_deg"]),
+    );
     miss("fem", "smallest dihedral", a, a >= low);
     miss("fem", "largest dihedral", b, b <= high);
     let mut total = [0.0, 0.0];
     for r in f["regions"].as_array().into_iter().flatten() {
         let e = num(&r["error_percent"]);
-        miss("fem", "region volume error %", e, r["error_percent"].is_null() || e.abs() <= 1.0);
-        total = [total[0] + num(&r["volume_mm3"]), total[1] + num(&r["reference_mm3"])];
+        miss(
+            "fem",
+            "region volume error %",
+            e,
+            r["error_percent"].is_null() || e.abs() <= 1.0,
+        );
+        total = [
+            total[0] + num(&r["volume_mm3"]),
+            total[1] + num(&r["reference_mm3"]),
+        ];
     }
     let e = 100.0 * (total[0] / total[1] - 1.0);
     miss("fem", "whole volume error %", e, e.abs() <= 0.5);
     for i in f["interfaces"].as_array().into_iter().flatten() {
-        miss("fem", "interface RMS in edges", num(&i["rms_edges"]), num(&i["rms_edges"]) <= 0.1);
+        miss(
+            "fem",
+            "interface RMS in edges",
+            num(&i["rms_edges"]),
+            num(&i["rms_edges"]) <= 0.1,
+        );
     }
     let e = num(&stage(v, "embedding")["report"]["quality"]["tets"]);
     miss("embedding", "tets", e, (1500.0..=3000.0).contains(&e));
