@@ -5,8 +5,9 @@ use crate::faces::FaceTable;
 use crate::geometry::{cross, length, sub, volume6};
 use crate::interface::{CutCounts, cut_dividers, interface_divider};
 use crate::lattice::Lattice;
+use crate::mending::stuff;
 use crate::quality::dihedral_angles;
-use crate::stuffing::{Complex, StuffCounts, WarpRule, stuff};
+use crate::stuffing::{Complex, StuffCounts, WarpRule};
 use crate::surfaces::{Level, SurfaceSet};
 use palpate_volume::Implicit;
 
@@ -49,6 +50,8 @@ pub(crate) struct Assembly {
     pub angles: (f64, f64),
     /// Tets with an angle outside of 15°–150°.
     pub poor: usize,
+    /// Euler number of the outer boundary.
+    pub euler: i64,
 }
 
 impl Plan<'_> {
@@ -95,6 +98,7 @@ impl Plan<'_> {
             areas_mm2: vec![0.0; self.dividers.len() + 1],
             angles: (180.0, 0.0),
             poor: 0,
+            euler: 0,
         };
         out.measure()?;
         Ok(out)
@@ -125,9 +129,15 @@ impl Assembly {
             self.angles = (self.angles.0.min(low), self.angles.1.max(high));
             self.poor += usize::from(low < 15.0 || high > 150.0);
         }
+        let mut outer_faces = 0i64;
+        let mut on_outer = vec![false; self.complex.points.len()];
         for g in FaceTable::new(&self.complex.tets, self.complex.points.len(), |_| true).groups() {
             let at = match g {
-                [_] => Some(0),
+                [f] => {
+                    outer_faces += 1;
+                    f.key.iter().for_each(|&v| on_outer[v as usize] = true);
+                    Some(0)
+                }
                 [a, b, ..] => interface_divider(self.regions[a.tet as usize], self.regions[b.tet as usize])
                     .map(|n| n + 1),
                 [] => None,
@@ -137,6 +147,8 @@ impl Assembly {
                 self.areas_mm2[at] += 0.5 * length(cross(sub(q, p), sub(r, p)));
             }
         }
+        // On a closed surface three edges belong to two faces.
+        self.euler = on_outer.iter().filter(|&&on| on).count() as i64 - outer_faces / 2;
         Ok(())
     }
 }

@@ -8,7 +8,7 @@ use crate::faces::{Components, FaceTable};
 use crate::geometry::{centroid4, dot, lerp, volume6};
 use crate::lattice::{Lattice, is_long};
 use crate::quality::volume_length_quality;
-use crate::stencil::{Cutter, cut_tet, lattice_diagonal, pattern_index};
+use crate::stencil::{Cutter, ZZZZ, cut_tet, lattice_diagonal, pattern_index};
 use crate::stuffing::{Complex, Source, WarpRule, edge_root};
 use crate::surfaces::{OUTER, SurfaceSet, divider_bit};
 use palpate_volume::Implicit;
@@ -16,8 +16,6 @@ use rustc_hash::FxHashMap;
 
 /// Tets that more than one surface has shaped: no proven bound.
 pub(crate) const SEVERAL: u8 = 255;
-/// Tets with all corners on one divider: flat ones occur.
-pub(crate) const ZZZZ: u8 = 254;
 
 /// Share of an edge that is not one of the lattice's within which a divider's cut attracts the end.
 const ALPHA_OTHER: f64 = 0.32;

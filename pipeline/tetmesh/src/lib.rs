@@ -14,6 +14,7 @@ mod improve;
 mod interface;
 mod lattice;
 mod locate;
+mod mending;
 mod mesh;
 mod params;
 mod quality;

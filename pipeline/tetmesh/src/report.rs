@@ -168,6 +168,8 @@ pub struct FemReport {
     pub warped: usize,
     /// Lattice tets with all corners on the outer surface: dropped.
     pub zzzz_dropped: usize,
+    /// Cavities that the lattice made where it closed a fold, and small ones of the field: filled.
+    pub filled_cavities: usize,
     /// Tets with all corners on one divider: given to the side of their centroid.
     pub zzzz_sided: usize,
     /// Lattice points whose sign was changed where sheets of the surface touched.

@@ -153,7 +153,7 @@ fn find_edge(plan: &Plan, first: f64, params: &FemParams) -> Result<f64, TetErro
     best.map(|b| b.1).ok_or(TetError::Empty { edge_mm: h })
 }
 
-/// Tries the positions of the lattice and takes the one with the fewest edits, then the fewest poor tets, then the
+/// Tries the positions of the lattice and takes the one whose boundary is a sphere, then the fewest edits, then the fewest poor tets, then the
 /// best worst angle; corrects the levels until the volumes are near the references.
 fn assemble_best(
     plan: &Plan,
@@ -162,7 +162,7 @@ fn assemble_best(
     params: &FemParams,
     levels: &mut Levels,
 ) -> Result<Assembly, TetError> {
-    let mut last = plan.assemble(plan.lattice(edge_mm, [0.0; 3])?, levels)?;
+    let mut last = assemble_any(plan, edge_mm, levels, params)?;
     let mut shift = [0.0; 3];
     correct_levels(&last, plan, volumes, edge_mm, levels);
     if params.lattice_shifts > 1 {
@@ -210,10 +210,34 @@ fn assemble_best(
     Err(TetError::Empty { edge_mm })
 }
 
+/// The mesh at the first position of the lattice at which it can be made valid.
+fn assemble_any(
+    plan: &Plan,
+    edge_mm: f64,
+    levels: &Levels,
+    params: &FemParams,
+) -> Result<Assembly, TetError> {
+    let mut result = plan.assemble(plan.lattice(edge_mm, halton(0))?, levels);
+    for n in 1..params.lattice_shifts.max(1) {
+        match result {
+            Err(TetError::NonManifold { .. } | TetError::Inverted { .. }) => {
+                result = plan.assemble(plan.lattice(edge_mm, halton(n))?, levels);
+            }
+            _ => break,
+        }
+    }
+    result
+}
+
 /// Smaller is better.
-fn rank(a: &Assembly) -> (usize, usize, u64) {
+fn rank(a: &Assembly) -> (u64, usize, usize, u64) {
     let worst = (a.angles.0 / 15.0).min((180.0 - a.angles.1) / 30.0).max(0.0);
-    (a.stuffed.sign_edits, a.poor, (1e9 - 1e6 * worst) as u64)
+    (
+        a.euler.abs_diff(2),
+        a.stuffed.sign_edits,
+        a.poor,
+        (1e9 - 1e6 * worst) as u64,
+    )
 }
 
 /// Point n of the Halton sequence in bases 2, 3, 5: shifts that fill the cell evenly.
@@ -376,6 +400,7 @@ fn finish(
         },
         warped: stuffed.warped,
         zzzz_dropped: stuffed.zzzz,
+        filled_cavities: stuffed.cavities,
         zzzz_sided: cut.zzzz,
         sign_edits: stuffed.sign_edits,
         mend_rounds: stuffed.mend_rounds,

@@ -34,6 +34,9 @@ pub(crate) const PATTERNS: [(&str, usize, usize); 10] = [
     ("IOOO", 1, 3),
 ];
 
+/// Pattern of a tet with all corners on one surface: flat ones occur, no bound holds.
+pub(crate) const ZZZZ: u8 = 254;
+
 /// Index into [`PATTERNS`].
 pub(crate) fn pattern_index(own: usize, other: usize) -> usize {
     PATTERNS

@@ -1,16 +1,12 @@
-//! Isosurface stuffing over a uniform lattice (Labelle & Shewchuk 2007): sample, warp, cut, mend, keep one body.
+//! Isosurface stuffing over a uniform lattice (Labelle & Shewchuk 2007): sample, warp, cut.
 
 use crate::TetError;
-use crate::faces::{Components, FaceTable, non_manifold};
-use crate::geometry::{lerp, volume6};
+use crate::geometry::lerp;
 use crate::lattice::{LONG, Lattice, NEIGHBOURS};
-use crate::stencil::{Cutter, PATTERNS, cut_tet, lattice_diagonal, pattern_index};
+use crate::stencil::{Cutter, PATTERNS, ZZZZ, cut_tet, lattice_diagonal, pattern_index};
 use palpate_volume::Implicit;
 use rayon::prelude::*;
 use rustc_hash::{FxHashMap, FxHashSet};
-
-/// Rounds of sign edits after which mending gives up.
-const MEND_ROUNDS: usize = 40;
 
 /// When a lattice point moves onto the surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -71,7 +67,11 @@ impl Complex {
 
     #[cfg(test)]
     pub fn volume_mm3(&self) -> f64 {
-        self.tets.iter().map(|&t| volume6(self.corners(t))).sum::<f64>() / 6.0
+        self.tets
+            .iter()
+            .map(|&t| crate::geometry::volume6(self.corners(t)))
+            .sum::<f64>()
+            / 6.0
     }
 }
 
@@ -82,8 +82,10 @@ pub(crate) struct StuffCounts {
     pub patterns: [usize; PATTERNS.len()],
     /// Lattice points moved onto the surface.
     pub warped: usize,
-    /// Lattice tets with all corners on the surface: dropped.
+    /// Lattice tets with all corners on the surface: dropped, unless they close a cavity.
     pub zzzz: usize,
+    /// Cavities that were filled.
+    pub cavities: usize,
     /// Lattice points whose sign was changed to part or join sheets that touch.
     pub sign_edits: usize,
     /// Rounds that took.
@@ -209,7 +211,7 @@ impl Samples {
     }
 
     #[inline]
-    fn for_each_neighbour(&self, id: u32, mut f: impl FnMut(u32, bool)) {
+    pub fn for_each_neighbour(&self, id: u32, mut f: impl FnMut(u32, bool)) {
         let t = self.lattice.triple(id);
         for (k, d) in NEIGHBOURS.iter().enumerate() {
             if let Some(n) = self.lattice.id([t[0] + d[0], t[1] + d[1], t[2] + d[2]]) {
@@ -242,7 +244,7 @@ impl Samples {
     }
 
     /// Sets the sign of a lattice point and redoes the cuts around it.
-    fn edit_sign(&mut self, f: &dyn Implicit, id: u32, sign: i8) {
+    pub fn edit_sign(&mut self, f: &dyn Implicit, id: u32, sign: i8) {
         self.signs[id as usize] = sign;
         let mut changes = Vec::new();
         self.for_each_neighbour(id, |n, _| {
@@ -424,7 +426,12 @@ impl Cutter for Inside<'_> {
 }
 
 /// Emits the stencils of every lattice tet that has an inside corner.
-pub(crate) fn cut_inside(samples: &Samples, warped: &Warped) -> (Complex, StuffCounts) {
+/// Tets with all corners on the surface are dropped, those of `keep` (sorted ids) excepted.
+pub(crate) fn cut_inside(
+    samples: &Samples,
+    warped: &Warped,
+    keep: &FxHashSet<[u32; 4]>,
+) -> (Complex, StuffCounts) {
     let mut to = Inside {
         samples,
         warped,
@@ -441,181 +448,18 @@ pub(crate) fn cut_inside(samples: &Samples, warped: &Warped) -> (Complex, StuffC
         if s.iter().any(|&x| x < 0) {
             cut_tet(v, s, &mut to);
         } else if s == [0; 4] {
-            to.counts.zzzz += 1;
+            let mut key = v;
+            key.sort_unstable();
+            if keep.contains(&key) {
+                let t = v.map(|id| to.node(id));
+                to.complex.tets.push(t);
+                to.complex.patterns.push(ZZZZ);
+            } else {
+                to.counts.zzzz += 1;
+            }
         }
     });
     (to.complex, to.counts)
-}
-
-/// Keeps the largest face-connected piece; returns the number of pieces dropped and their volume.
-pub(crate) fn keep_largest(complex: &mut Complex) -> (usize, f64) {
-    let table = FaceTable::new(&complex.tets, complex.points.len(), |_| true);
-    let mut parts = Components::new(complex.tets.len());
-    for g in table.groups() {
-        for f in &g[1..] {
-            parts.join(g[0].tet, f.tet);
-        }
-    }
-    let mut volume: Vec<(u32, f64)> = Vec::new();
-    let mut slot: FxHashMap<u32, usize> = FxHashMap::default();
-    let root: Vec<u32> = (0..complex.tets.len() as u32).map(|t| parts.root(t)).collect();
-    for (t, &r) in root.iter().enumerate() {
-        let i = *slot.entry(r).or_insert_with(|| {
-            volume.push((r, 0.0));
-            volume.len() - 1
-        });
-        volume[i].1 += volume6(complex.corners(complex.tets[t])) / 6.0;
-    }
-    if volume.len() <= 1 {
-        return (0, 0.0);
-    }
-    let mut best = volume[0];
-    for v in &volume {
-        if v.1 > best.1 {
-            best = *v;
-        }
-    }
-    let dropped: f64 = volume.iter().filter(|v| v.0 != best.0).map(|v| v.1).sum();
-    let mut n = 0;
-    complex.tets.retain(|_| {
-        n += 1;
-        root[n - 1] == best.0
-    });
-    n = 0;
-    complex.patterns.retain(|_| {
-        n += 1;
-        root[n - 1] == best.0
-    });
-    (volume.len() - 1, dropped)
-}
-
-/// Drops nodes that no tet uses.
-pub(crate) fn compact(complex: &mut Complex) {
-    let mut new = vec![u32::MAX; complex.points.len()];
-    let (mut points, mut sources) = (Vec::new(), Vec::new());
-    for t in &mut complex.tets {
-        for v in t {
-            let at = &mut new[*v as usize];
-            if *at == u32::MAX {
-                *at = points.len() as u32;
-                points.push(complex.points[*v as usize]);
-                sources.push(complex.sources[*v as usize]);
-            }
-            *v = *at;
-        }
-    }
-    complex.points = points;
-    complex.sources = sources;
-}
-
-/// Stuffs the inside of `f`: one face-connected body whose boundary is a closed 2-manifold.
-///
-/// Where sheets of the boundary touch along an edge or at a point (within one cell of each other), the sign of the
-/// lattice point there whose value is nearest to 0 is changed, and the warp and the cuts are redone.
-pub(crate) fn stuff(
-    f: &dyn Implicit,
-    lattice: Lattice,
-    rule: &WarpRule,
-) -> Result<(Complex, StuffCounts), TetError> {
-    let mut samples = Samples::new(f, lattice, rule.linear)?;
-    let mut edited: FxHashSet<u32> = FxHashSet::default();
-    for round in 0..=MEND_ROUNDS {
-        let warped = warp(&samples, rule);
-        let (mut complex, mut counts) = cut_inside(&samples, &warped);
-        if complex.tets.is_empty() {
-            return Err(TetError::Empty {
-                edge_mm: samples.lattice.edge_mm,
-            });
-        }
-        (counts.dropped_pieces, counts.dropped_mm3) = keep_largest(&mut complex);
-        compact(&mut complex);
-        (counts.sign_edits, counts.mend_rounds) = (edited.len(), round);
-        let boundary = FaceTable::new(&complex.tets, complex.points.len(), |_| true).boundary(&complex.tets);
-        let bad = non_manifold(&boundary, complex.points.len());
-        let mut places: Vec<Vec<u32>> = bad.nodes.iter().map(|&n| vec![n]).collect();
-        places.extend(bad.edges.iter().map(|e| e.to_vec()));
-        let Some(first) = places.first() else {
-            return Ok((complex, counts));
-        };
-        let fill_only = round > MEND_ROUNDS / 4;
-        let mut changed = false;
-        let mut touched: FxHashSet<u32> = FxHashSet::default();
-        for place in &places {
-            if let Some((id, sign)) =
-                mend_choice(&samples, &warped, &complex, place, &edited, &touched, fill_only)
-            {
-                // One edit per neighbourhood and round: the next may no longer be needed.
-                touched.insert(id);
-                samples.for_each_neighbour(id, |n, _| {
-                    touched.insert(n);
-                });
-                samples.edit_sign(f, id, sign);
-                edited.insert(id);
-                changed = true;
-            }
-        }
-        if !changed || round == MEND_ROUNDS {
-            return Err(TetError::NonManifold {
-                position: complex.points[first[0] as usize],
-                count: places.len(),
-                rounds: round,
-                edge_mm: samples.lattice.edge_mm,
-            });
-        }
-    }
-    Err(TetError::Empty {
-        edge_mm: samples.lattice.edge_mm,
-    })
-}
-
-/// The lattice point around a bad place whose sign is cheapest to change, and its new sign. `None` where the
-/// neighbourhood has been edited in this round already or offers nothing.
-fn mend_choice(
-    samples: &Samples,
-    warped: &Warped,
-    complex: &Complex,
-    place: &[u32],
-    edited: &FxHashSet<u32>,
-    touched: &FxHashSet<u32>,
-    fill_only: bool,
-) -> Option<(u32, i8)> {
-    let mut around: Vec<u32> = Vec::new();
-    for &node in place {
-        let ends = match complex.sources[node as usize] {
-            Source::Lattice(id) => [id, id],
-            Source::Cut(a, b) => [a, b],
-            Source::Other => continue,
-        };
-        for id in ends {
-            if touched.contains(&id) {
-                return None;
-            }
-            around.push(id);
-            if matches!(complex.sources[node as usize], Source::Lattice(_)) {
-                samples.for_each_neighbour(id, |n, _| around.push(n));
-            }
-        }
-    }
-    around.sort_unstable();
-    around.dedup();
-    let mut best: Option<(f64, u32, i8)> = None;
-    for id in around {
-        let s = samples.signs[id as usize];
-        // A moved point lies on the surface: filling it is the smallest change.
-        let cost = if warped.signs[id as usize] == 0 {
-            0.0
-        } else {
-            samples.values[id as usize].abs()
-        };
-        let sign = if s > 0 || fill_only { -1 } else { 1 };
-        if edited.contains(&id) && !(fill_only && s > 0) || (fill_only && s < 0) {
-            continue;
-        }
-        if best.is_none_or(|b| cost < b.0) {
-            best = Some((cost, id, sign));
-        }
-    }
-    best.map(|b| (b.1, b.2))
 }
 
 #[cfg(test)]

@@ -1,5 +1,7 @@
 use super::*;
 use crate::dihedral_angles;
+use crate::faces::{FaceTable, non_manifold};
+use crate::mending::stuff;
 
 struct Ball([f64; 3], f64);
 impl Implicit for Ball {
@@ -139,7 +141,7 @@ fn noise_conforms_and_never_inverts() {
         let l = lattice(&noise, 1.0, [0.0; 3]);
         let samples = Samples::new(&noise, l, true).unwrap();
         for rule in [WarpRule::ARBITRARY, WarpRule::ORDERED] {
-            let (c, counts) = cut_inside(&samples, &warp(&samples, &rule));
+            let (c, counts) = cut_inside(&samples, &warp(&samples, &rule), &FxHashSet::default());
             let mesh = crate::TetMesh {
                 vertices: c.points.clone(),
                 tets: c.tets.clone(),
