@@ -115,7 +115,8 @@ fn ball() {
 
 #[test]
 fn thick_slices() {
-    check("ellipsoid-thick", &phantoms::ellipsoid([0.7, 0.7, 5.0]), 1.5);
+    // Eight slices hold this ellipsoid to about 1.6 % by themselves.
+    check("ellipsoid-thick", &phantoms::ellipsoid([0.7, 0.7, 5.0]), 2.0);
 }
 
 #[test]
@@ -168,7 +169,7 @@ fn cut_by_the_border() {
 fn a_sheet_is_not_eaten() {
     let p = phantoms::sheet([0.8; 3]);
     let mut recipe = phantom_recipe(&p);
-    recipe.particles.radius_mm = 1.6;
+    recipe.particles.radius_mm = 1.0;
     recipe.fem.target_tets = 40_000;
     let built = build_phantom(&p, &recipe).unwrap_or_else(|e| panic!("{e:#}"));
     let off = 100.0 * (built.surfaces[0].1.volume_mm3() / p.body_volume_mm3 - 1.0);
@@ -186,7 +187,7 @@ fn a_sheet_is_not_eaten() {
                 std::array::from_fn(|a| hi[a].max(v[a])),
             )
         });
-    for (a, wide) in [62.4, 52.4, 2.4].into_iter().enumerate() {
+    for (a, wide) in [63.2, 53.2, 3.2].into_iter().enumerate() {
         assert!(
             (hi[a] - lo[a] - wide).abs() < 1.0,
             "axis {a}: {} instead of {wide} mm",

@@ -3,6 +3,7 @@
 //! From: a label map, optionally CT intensities and fiducials.
 //! Refuses: what any stage refuses, before anything is written.
 
+/// The command line.
 pub mod args;
 mod build;
 mod compare;

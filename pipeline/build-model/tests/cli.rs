@@ -279,33 +279,40 @@ fn an_existing_package_survives_a_failed_build() {
     assert_eq!(std::fs::read(d.path("out.palpate")).unwrap(), b"precious");
 }
 
-/// Writing to a full disk is an error, not half a package.
+/// A full disk is an error, not half a package; a summary that cannot be printed is one too.
 #[test]
 fn a_full_disk_is_reported() {
-    if !Path::new("/dev/full").exists() {
-        println!("SKIPPED: this system has no /dev/full");
-        return;
-    }
     let d = Dir::new();
     d.phantom("k.nii.gz", &coarse_kidney());
-    let out = Command::new(env!("CARGO_BIN_EXE_build-model"))
-        .args([
-            "k.nii.gz",
-            "--organ",
-            "kidney=1",
-            "--radius",
-            "5",
-            "--fem-tets",
-            "2000",
-            "-o",
-            "k.palpate",
-        ])
-        .current_dir(d.0.path())
-        .stdout(std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap())
-        .output()
-        .unwrap();
-    assert_eq!(out.status.code(), Some(1));
-    assert!(String::from_utf8_lossy(&out.stderr).contains("standard output"));
+    let build = ["k.nii.gz", "--organ", "kidney=1", "--radius", "5", "--fem-tets", "2000", "-o"];
+    let run = |output: &str, stdout: std::process::Stdio| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_build-model"));
+        command.args(build).arg(output).current_dir(d.0.path()).stdout(stdout).output().unwrap()
+    };
+    if Path::new("/dev/full").exists() {
+        let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+        let out = run("k.palpate", full.into());
+        assert_eq!(out.status.code(), Some(1));
+        assert!(String::from_utf8_lossy(&out.stderr).contains("standard output"));
+    } else {
+        println!("SKIPPED: this system has no /dev/full");
+    }
+    std::fs::create_dir(d.path("small")).unwrap();
+    let mount = |args: &[&str]| {
+        let status = Command::new(args[0]).args(&args[1..]).current_dir(d.0.path()).output();
+        status.is_ok_and(|o| o.status.success())
+    };
+    if !mount(&["mount", "-t", "tmpfs", "-o", "size=100k", "tmpfs", "small"]) {
+        println!("SKIPPED: no right to mount a small disk");
+        return;
+    }
+    let out = run("small/k.palpate", std::process::Stdio::null());
+    let left = std::fs::read_dir(d.path("small")).unwrap().count();
+    assert!(mount(&["umount", "small"]));
+    let err = String::from_utf8_lossy(&out.stderr);
+    assert_eq!(out.status.code(), Some(1), "{err}");
+    assert!(err.contains("small/k.palpate"), "{err}");
+    assert_eq!(left, 0, "a partial package was left behind");
 }
 
 #[test]
