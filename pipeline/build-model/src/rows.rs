@@ -243,6 +243,9 @@ pub(crate) fn particles(p: &ParticleReport, seconds: f64) -> anyhow::Result<Stag
                 p.coverage_max_mm.unwrap_or(0.0)
             )
         })
+        .warn_if(p.regions.iter().any(|r| r.clusters == 0), || {
+            "a structure leads no cluster: it cannot have a stiffness of its own at this radius".into()
+        })
         .warn_if(p.cluster_components > p.mesh_components, || {
             format!(
                 "the clusters fall into {} parts, the body has {}",

@@ -284,10 +284,25 @@ fn an_existing_package_survives_a_failed_build() {
 fn a_full_disk_is_reported() {
     let d = Dir::new();
     d.phantom("k.nii.gz", &coarse_kidney());
-    let build = ["k.nii.gz", "--organ", "kidney=1", "--radius", "5", "--fem-tets", "2000", "-o"];
+    let build = [
+        "k.nii.gz",
+        "--organ",
+        "kidney=1",
+        "--radius",
+        "5",
+        "--fem-tets",
+        "2000",
+        "-o",
+    ];
     let run = |output: &str, stdout: std::process::Stdio| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_build-model"));
-        command.args(build).arg(output).current_dir(d.0.path()).stdout(stdout).output().unwrap()
+        command
+            .args(build)
+            .arg(output)
+            .current_dir(d.0.path())
+            .stdout(stdout)
+            .output()
+            .unwrap()
     };
     if Path::new("/dev/full").exists() {
         let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
@@ -299,7 +314,10 @@ fn a_full_disk_is_reported() {
     }
     std::fs::create_dir(d.path("small")).unwrap();
     let mount = |args: &[&str]| {
-        let status = Command::new(args[0]).args(&args[1..]).current_dir(d.0.path()).output();
+        let status = Command::new(args[0])
+            .args(&args[1..])
+            .current_dir(d.0.path())
+            .output();
         status.is_ok_and(|o| o.status.success())
     };
     if !mount(&["mount", "-t", "tmpfs", "-o", "size=100k", "tmpfs", "small"]) {

@@ -83,13 +83,15 @@ pub fn build_particles(
             seed - added
         } as u32;
     }
+    let of_created: Vec<u16> = created.par_iter().map(|&p| region_of(p)).collect();
+    let region_clusters = clusters::represent(&created, &of_created, params.cluster_spacing_mm(), &mut lists);
     let order = morton::order(&created);
     let mut new_index = vec![0; order.len()];
     for (new, &old) in order.iter().enumerate() {
         new_index[old as usize] = new as u32;
     }
     let positions: Vec<[f64; 3]> = order.iter().map(|&i| created[i as usize]).collect();
-    let regions: Vec<u16> = positions.par_iter().map(|&p| region_of(p)).collect();
+    let regions: Vec<u16> = order.iter().map(|&i| of_created[i as usize]).collect();
     let clusters = clusters::assemble(&lists, &positions, &regions, &new_index);
     let particles = ParticleSet {
         links: links(&positions, params.link_radius_mm),
@@ -104,6 +106,7 @@ pub fn build_particles(
         clusters_merged: mended.merged,
         orphans_attached: mended.orphans,
         bridges_added: mended.bridges,
+        region_clusters_added: region_clusters,
     };
     let report = report::summarise(
         &mesh,

@@ -109,6 +109,41 @@ pub(crate) fn make(
     Ok((lists, mended))
 }
 
+/// A region whose particles are the majority of no cluster, although there are enough of them, gets clusters of its
+/// own particles alone: otherwise a small tumour could not be given a stiffness of its own. Answers their number.
+pub(crate) fn represent(
+    points: &[[f64; 3]],
+    regions: &[u16],
+    spacing: f64,
+    lists: &mut Vec<Vec<u32>>,
+) -> usize {
+    let before = lists.len();
+    let mut present: Vec<u16> = regions.to_vec();
+    present.sort_unstable();
+    present.dedup();
+    for region in present {
+        let leads = |l: &Vec<u32>| majority(l.iter().map(|&i| regions[i as usize])) == region;
+        if lists[..before].iter().any(leads) {
+            continue;
+        }
+        let own: Vec<u32> = (0..points.len() as u32)
+            .filter(|&i| regions[i as usize] == region)
+            .collect();
+        let own_points: Vec<[f64; 3]> = own.iter().map(|&i| points[i as usize]).collect();
+        greedy_groups(&own_points, &PointGrid::new(&own_points, spacing), spacing, |g| {
+            let c = mean(g.members.iter().map(|&i| own_points[i as usize]));
+            let local = g
+                .members
+                .iter()
+                .map(|&i| crate::mesh::sub(own_points[i as usize], c));
+            if moment_ratio(local) >= LEAST_MOMENT_RATIO {
+                lists.push(g.members.iter().map(|&i| own[i as usize]).collect());
+            }
+        });
+    }
+    lists.len() - before
+}
+
 /// A cluster that nothing could make round enough.
 pub(crate) struct TooFlat {
     pub near: [f64; 3],

@@ -19,6 +19,8 @@ pub struct Repairs {
     pub orphans_attached: usize,
     /// Clusters added to join pieces of the cluster graph.
     pub bridges_added: usize,
+    /// Clusters made of one region's particles alone, because the region led in no other cluster.
+    pub region_clusters_added: usize,
 }
 
 /// Particles and clusters of one region.

@@ -497,3 +497,29 @@ fn refusals_say_why() {
         Err(ParticleError::TooSmall { .. })
     ));
 }
+
+/// A tumour smaller than a cluster still leads one, so that it can have a stiffness of its own.
+#[test]
+fn a_small_region_leads_a_cluster() {
+    let (v, t) = ellipsoid([30.0, 25.0, 22.0], 24);
+    let tumour = |p: [f64; 3]| u16::from(dist2(p, [6.0, 3.0, 2.0]) < 49.0);
+    let (set, clusters, report) = build_particles(&v, &t, &tumour, &params(2.7)).unwrap();
+    assert!(
+        report.repairs.region_clusters_added > 0,
+        "the case must need the repair"
+    );
+    let own: Vec<usize> = (0..clusters.len())
+        .filter(|&c| clusters.regions[c] == 1)
+        .collect();
+    assert_eq!(own.len(), report.repairs.region_clusters_added);
+    for c in own {
+        assert!(
+            clusters
+                .members_of(c)
+                .iter()
+                .all(|&p| set.regions[p as usize] == 1)
+        );
+        assert!(clusters.moment_ratio(c) >= 0.05);
+    }
+    assert_eq!(clusters.components(), 1);
+}
