@@ -1,12 +1,13 @@
 //! Quadric edge collapse (Garland and Heckbert 1997) with MeshLab's quality threshold, under guards that keep the
 //! surface closed, 2-manifold, of the same topology, and free of self-intersection.
 
+use crate::guard::{CrossingGuard, Shape, bounds};
 use crate::halfedge::{HalfEdges, NONE, prev};
 use crate::params::DecimateParams;
 use crate::quadric::Quadric;
-use crate::triangle_grid::TriangleGrid;
 use crate::vector::{V3, area_normal, dot, length, midpoint, norm2, scale, sub};
 use crate::{SurfaceError, TriMesh};
+use palpate_volume::{Implicit, ScalarField};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::cmp::Reverse;
@@ -18,6 +19,9 @@ const MIN_NORMAL_COSINE: f64 = 0.2;
 const MIN_QUALITY: f64 = 0.01;
 /// Errors at or below this are told apart by edge length (vcglib's QuadricEpsilon).
 const QUADRIC_EPSILON: f64 = 1e-15;
+
+/// How far a second sheet is looked for, in edges of the result: the result lies much nearer to the surface.
+pub(crate) const GUARD_REACH: f64 = 0.6;
 
 /// What the decimation did.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -44,31 +48,35 @@ pub struct DecimateReport {
 /// # Errors
 /// A parameter out of range; a surface that is open or not 2-manifold.
 pub fn decimate(mesh: &TriMesh, params: &DecimateParams) -> Result<(TriMesh, DecimateReport), SurfaceError> {
-    let (mesh, report) = decimate_half_edges(HalfEdges::from_mesh(mesh)?, params)?;
+    let (mesh, report) = decimate_half_edges::<ScalarField>(HalfEdges::from_mesh(mesh)?, params, None)?;
     Ok((mesh.to_mesh(), report))
 }
 
-pub(crate) fn decimate_half_edges(
+/// With `field` the guard watches only where that shows a second sheet near.
+pub(crate) fn decimate_half_edges<F: Implicit + ?Sized>(
     mesh: HalfEdges,
     params: &DecimateParams,
+    field: Option<&F>,
 ) -> Result<(HalfEdges, DecimateReport), SurfaceError> {
     params.check()?;
     let mut d = Decimator::new(mesh, params);
     d.report.faces_before = d.mesh.live_faces;
     if params.first_phase_edge_mm > 0.0 {
-        if params.guard_first_phase {
-            d.make_grid();
+        if params.guard {
+            d.set_guard(field, params.first_phase_edge_mm);
         }
         // Two sweeps: the shortest edges first, so that the triangles stay even.
         d.sweep(0.6 * params.first_phase_edge_mm);
         d.sweep(params.first_phase_edge_mm);
     }
     d.report.faces_after_first_phase = d.mesh.live_faces;
-    if params.guard && d.grid.is_none() {
-        d.make_grid();
+    if params.guard {
+        let reach_mm = GUARD_REACH * triangle_edge(d.area_mm2(), params.target_faces);
+        d.set_guard(field, reach_mm);
     }
     d.collapse_by_cost();
     d.report.faces_after = d.mesh.live_faces;
+    d.report.refused_crossing = d.guard.map_or(0, |g| g.refused);
     Ok((d.mesh, d.report))
 }
 
@@ -90,9 +98,9 @@ struct Decimator<'a> {
     error_scale: f64,
     quadrics: Vec<Quadric>,
     stamp: Vec<u32>,
-    grid: Option<TriangleGrid>,
+    guard: Option<CrossingGuard>,
     report: DecimateReport,
-    changed: Vec<([u32; 3], [V3; 3])>,
+    changed: Vec<Shape>,
     replaced: Vec<u32>,
 }
 
@@ -101,22 +109,6 @@ struct Decimator<'a> {
 fn quality_of(double_area: f64, p: V3, q: V3, r: V3) -> f64 {
     let longest = norm2(sub(q, p)).max(norm2(sub(r, q))).max(norm2(sub(p, r)));
     if longest > 0.0 { double_area / longest } else { 0.0 }
-}
-
-pub(crate) fn bounds(points: &[V3]) -> (V3, V3) {
-    let mut lo = [f64::INFINITY; 3];
-    let mut hi = [f64::NEG_INFINITY; 3];
-    for p in points {
-        for a in 0..3 {
-            lo[a] = lo[a].min(p[a]);
-            hi[a] = hi[a].max(p[a]);
-        }
-    }
-    if points.is_empty() {
-        ([0.0; 3], [0.0; 3])
-    } else {
-        (lo, hi)
-    }
 }
 
 impl<'a> Decimator<'a> {
@@ -149,27 +141,35 @@ impl<'a> Decimator<'a> {
             params,
             origin,
             quadrics,
-            grid: None,
+            guard: None,
             report: DecimateReport::default(),
             changed: Vec::new(),
             replaced: Vec::new(),
         }
     }
 
-    fn make_grid(&mut self) {
-        let area: f64 = self
-            .mesh
+    fn area_mm2(&self) -> f64 {
+        self.mesh
             .faces()
             .map(|f| 0.5 * length(self.mesh.face_area_normal(f)))
-            .sum();
-        let (lo, hi) = bounds(&self.mesh.pos);
+            .sum()
+    }
+
+    /// Puts the guard up for the mesh as it is now; one for all triangles stays as it is.
+    fn set_guard<F: Implicit + ?Sized>(&mut self, field: Option<&F>, reach_mm: f64) {
         // Between the edge length now and that at the end.
         let between = (self.mesh.live_faces as f64 * self.params.target_faces as f64).sqrt() as usize;
-        let mut grid = TriangleGrid::new(lo, hi, triangle_edge(area, between));
-        for f in self.mesh.faces() {
-            grid.insert(f, self.mesh.corners(f), self.mesh.points(f));
-        }
-        self.grid = Some(grid);
+        let cell_mm = triangle_edge(self.area_mm2(), between);
+        let refused = self.guard.as_ref().map_or(0, |g| g.refused);
+        self.guard = match (field, self.guard.take()) {
+            (None, Some(guard)) => Some(guard),
+            (None, None) => Some(CrossingGuard::everywhere(&self.mesh, cell_mm)),
+            (Some(field), _) => {
+                let mut guard = CrossingGuard::near_sheets(&self.mesh, cell_mm, field, reach_mm);
+                guard.refused = refused;
+                Some(guard)
+            }
+        };
     }
 
     /// Place and cost of collapsing `h`: page-for-page MeshLab's priority.
@@ -225,35 +225,29 @@ impl<'a> Decimator<'a> {
             return false;
         }
         let (gone, kept) = (self.mesh.from(h), self.mesh.to(h));
-        if let Some(grid) = &mut self.grid {
+        if let Some(guard) = &mut self.guard {
             self.changed.clear();
             self.replaced.clear();
             let m = &self.mesh;
             let dead = [h / 3, m.twin(h) / 3];
             self.replaced.extend(dead);
             for v in [gone, kept] {
-                for g in m.fan(v) {
-                    if dead.contains(&(g / 3)) {
-                        continue;
-                    }
+                for g in m.fan(v).filter(|g| !dead.contains(&(g / 3))) {
                     let (s, t) = (m.to(g), m.apex(g));
                     self.replaced.push(g / 3);
                     self.changed.push(([kept, s, t], [c.at, m.at(s), m.at(t)]));
                 }
             }
-            if grid.would_any_intersect(&self.changed, &self.replaced) {
-                self.report.refused_crossing += 1;
+            guard.merge(kept, gone);
+            if guard.crosses(&self.replaced, &self.changed) {
                 return false;
-            }
-            for f in dead {
-                grid.remove(f);
-            }
-            for (f, (t, p)) in self.replaced[2..].iter().zip(&self.changed) {
-                grid.insert(*f, *t, *p);
             }
         }
         self.quadrics[kept as usize] = self.quadrics[kept as usize].plus(&self.quadrics[gone as usize]);
         self.mesh.collapse(h, c.at);
+        if let Some(guard) = &mut self.guard {
+            guard.update(&self.mesh, self.replaced.iter().copied());
+        }
         self.stamp[kept as usize] += 1;
         self.report.collapses += 1;
         true

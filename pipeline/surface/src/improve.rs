@@ -1,15 +1,16 @@
 //! Triangle shape and fit of a decimated surface: edge flips, tangential relaxation, repair of the worst triangles by
 //! collapse and split, and a least-squares fit to the field's zero set.
 
-use crate::decimate::{bounds, triangle_edge};
+use crate::decimate::{GUARD_REACH, triangle_edge};
+use crate::guard::{CrossingGuard, Shape, bounds};
 use crate::halfedge::{HalfEdges, NONE};
 use crate::params::ImproveParams;
-use crate::triangle_grid::TriangleGrid;
 use crate::vector::{
     V3, add, add_scaled, area_normal, cross, dot, length, midpoint, norm2, quality, scale, sub,
 };
 use crate::{SurfaceError, TriMesh};
 use palpate_volume::Implicit;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 /// What the improvement did.
@@ -32,34 +33,31 @@ pub struct ImproveReport {
 /// Passes of averaging over neighbours that the local sizes get.
 const SIZE_SMOOTHING: usize = 3;
 
-/// A face in its new shape.
-type Shape = ([u32; 3], [V3; 3]);
-
 /// Improves a surface in place.
-pub(crate) struct Improver<'a> {
+pub(crate) struct Improver<'a, F: ?Sized> {
     pub mesh: HalfEdges,
-    field: &'a dyn Implicit,
+    field: &'a F,
     params: &'a ImproveParams,
     edge_mm: f64,
     origin: V3,
-    near: Vec<bool>,
-    guard_all: bool,
-    grid: TriangleGrid,
+    guard: CrossingGuard,
     pub report: ImproveReport,
 }
 
-impl<'a> Improver<'a> {
-    pub fn new(mesh: HalfEdges, field: &'a dyn Implicit, params: &'a ImproveParams, guard_all: bool) -> Self {
+impl<'a, F: Implicit + ?Sized> Improver<'a, F> {
+    /// With `guard_all` every change is tested for crossings, otherwise those near a second sheet.
+    pub fn new(mesh: HalfEdges, field: &'a F, params: &'a ImproveParams, guard_all: bool) -> Self {
         let area: f64 = mesh.faces().map(|f| 0.5 * length(mesh.face_area_normal(f))).sum();
         let edge_mm = triangle_edge(area, mesh.live_faces);
         let (lo, hi) = bounds(&mesh.pos);
-        let mut grid = TriangleGrid::new(lo, hi, edge_mm);
-        for f in mesh.faces() {
-            grid.insert(f, mesh.corners(f), mesh.points(f));
-        }
-        let near = near_sheets(&mesh, field, 0.6 * edge_mm);
+        let guard = if guard_all {
+            CrossingGuard::everywhere(&mesh, edge_mm)
+        } else {
+            CrossingGuard::near_sheets(&mesh, edge_mm, field, GUARD_REACH * edge_mm)
+        };
+        let guarded_vertices = guard.marked().unwrap_or_else(|| mesh.vertices().count());
         let report = ImproveReport {
-            guarded_vertices: near.iter().filter(|n| **n).count(),
+            guarded_vertices,
             ..Default::default()
         };
         Self {
@@ -68,60 +66,63 @@ impl<'a> Improver<'a> {
             params,
             edge_mm,
             origin: midpoint(lo, hi),
-            near,
-            guard_all,
-            grid,
+            guard,
             report,
         }
     }
 
-    /// Evens out sizes in the first rounds; shapes in all; then fits and mends. The number of triangles stays within
-    /// about one in a hundred.
+    /// Shapes, then fits, then mends. Where the mean quality is below the goal the shapes get more weight and edge
+    /// lengths are evened out. The number of triangles stays within about one in a hundred.
     pub fn run(&mut self) {
         if self.params.rounds == 0 {
             return;
         }
         let target_faces = self.mesh.live_faces;
-        for round in 0..self.params.rounds {
-            if round < self.params.resize_rounds {
+        for _ in 0..self.params.rounds {
+            self.flip_sweep();
+            self.settle_sweep(self.params.pull, true);
+        }
+        let mut pull = self.params.pull;
+        for round in 0..self.params.extra_rounds {
+            if self.mean_quality() >= self.params.goal_mean_quality {
+                break;
+            }
+            if round % 2 == 1 {
                 self.resize(target_faces);
-            } else if round == self.params.resize_rounds {
                 self.trim(target_faces);
+            } else {
+                pull *= 2.0;
             }
             self.flip_sweep();
-            self.relax_sweep();
+            self.settle_sweep(pull, true);
         }
         for _ in 0..self.params.fit_rounds {
-            self.fit_sweep();
+            self.settle_sweep(self.params.pull, false);
             self.flip_sweep();
         }
         for _ in 0..4 {
             if self.repair_worst() == 0 {
                 break;
             }
-            self.fit_sweep();
+            self.settle_sweep(self.params.pull, false);
         }
     }
 
-    /// Whether replacing the faces `old` by `new` would make triangles cross.
-    fn crosses(&mut self, old: &[u32], new: &[Shape]) -> bool {
-        let watched = self.guard_all
-            || new
-                .iter()
-                .any(|(t, _)| t.iter().any(|v| self.near.get(*v as usize) == Some(&true)));
-        let bad = watched && self.grid.would_any_intersect(new, old);
-        self.report.refused_crossing += usize::from(bad);
-        bad
+    fn mean_quality(&self) -> f64 {
+        let sum: f64 = self
+            .mesh
+            .faces()
+            .map(|f| {
+                let [a, b, c] = self.mesh.points(f);
+                quality(a, b, c)
+            })
+            .sum();
+        sum / self.mesh.live_faces.max(1) as f64
     }
 
-    fn refresh(&mut self, faces: &[u32]) {
-        for &f in faces {
-            if self.mesh.org[3 * f as usize] == NONE {
-                self.grid.remove(f);
-            } else {
-                self.grid.insert(f, self.mesh.corners(f), self.mesh.points(f));
-            }
-        }
+    pub fn finish(mut self) -> (TriMesh, ImproveReport) {
+        self.report.refused_crossing = self.guard.refused;
+        (self.mesh.to_mesh(), self.report)
     }
 
     fn off_surface(&self, p: V3) -> f64 {
@@ -180,11 +181,14 @@ impl<'a> Improver<'a> {
         let (a, b, c, d) = (m.from(h), m.to(h), m.apex(h), m.apex(t));
         let [pa, pb, pc, pd] = [a, b, c, d].map(|v| m.at(v));
         let old = [h / 3, t / 3];
-        if self.crosses(&old, &[([d, b, c], [pd, pb, pc]), ([c, a, d], [pc, pa, pd])]) {
+        if self
+            .guard
+            .crosses(&old, &[([d, b, c], [pd, pb, pc]), ([c, a, d], [pc, pa, pd])])
+        {
             return false;
         }
         self.mesh.flip(h);
-        self.refresh(&old);
+        self.guard.update(&self.mesh, old.iter().copied());
         self.report.flips += 1;
         true
     }
@@ -240,47 +244,13 @@ impl<'a> Improver<'a> {
             shapes[n] = ([v, s, t], [p, ps, pt]);
             n += 1;
         }
-        if after < before.min(floor) || self.crosses(&faces[..n], &shapes[..n]) {
+        if after < before.min(floor) || self.guard.crosses(&faces[..n], &shapes[..n]) {
             return false;
         }
         self.mesh.pos[v as usize] = p;
-        self.refresh(&faces[..n]);
+        self.guard.update(&self.mesh, faces[..n].iter().copied());
         self.report.moves += 1;
         true
-    }
-
-    /// Slides every vertex towards the area-weighted centre of its fan, at the level of the field that it had.
-    fn relax_sweep(&mut self) {
-        for v in 0..self.mesh.out.len() as u32 {
-            if self.mesh.out[v as usize] == NONE {
-                continue;
-            }
-            let m = &self.mesh;
-            let at = m.at(v);
-            let (mut sum, mut area, mut n) = ([0.0; 3], 0.0, [0.0; 3]);
-            for h in m.fan(v) {
-                let (p, q) = (m.at(m.to(h)), m.at(m.apex(h)));
-                let an = area_normal(at, p, q);
-                let w = length(an);
-                n = add(n, an);
-                sum = add_scaled(sum, w / 3.0, add(at, add(p, q)));
-                area += w;
-            }
-            let l = length(n);
-            if area <= 0.0 || l <= 0.0 {
-                continue;
-            }
-            let n = scale(n, 1.0 / l);
-            let step = sub(scale(sum, 1.0 / area), at);
-            let step = add_scaled(step, -dot(step, n), n);
-            let level = self.field.value(at);
-            for share in [1.0, 0.4] {
-                let p = self.to_level(add_scaled(at, share, step), level);
-                if self.try_move(v, p, 0.8) {
-                    break;
-                }
-            }
-        }
     }
 
     /// One Newton step to the field's level, along its gradient.
@@ -316,45 +286,110 @@ impl<'a> Improver<'a> {
         }
     }
 
-    /// Moves every vertex along its normal so that the mean of the field over the faces around it, each point
-    /// weighted by how far it follows the vertex, becomes 0: the surface then lies on both sides of the zero set in
-    /// equal parts, instead of cutting its corners, and encloses its volume.
-    fn fit_sweep(&mut self) {
-        // Barycentric samples of a triangle of degree-4 exactness would do; ten even ones also see small bumps.
-        const N: usize = 3;
-        let count = self.mesh.pos.len();
-        let (mut sum, mut weight) = (vec![0.0; count], vec![0.0; count]);
-        for f in 0..(self.mesh.org.len() / 3) as u32 {
-            if self.mesh.org[3 * f as usize] == NONE {
-                continue;
-            }
-            let t = self.mesh.corners(f);
-            let p = self.mesh.points(f);
-            let area = length(area_normal(p[0], p[1], p[2]));
-            for i in 0..N {
-                for j in 0..N - i {
-                    let k = N - 1 - i - j;
-                    let w = [i, j, k].map(|n| (n as f64 + 1.0 / 3.0) / N as f64);
-                    let x = std::array::from_fn(|a| w[0] * p[0][a] + w[1] * p[1][a] + w[2] * p[2][a]);
-                    let r = self.field.value(x);
-                    for c in 0..3 {
-                        sum[t[c] as usize] += area * w[c] * r;
-                        weight[t[c] as usize] += area * w[c];
-                    }
+    /// Moves every vertex to fit the faces around it to the zero set and to even out their shapes.
+    ///
+    /// Each face is sampled at six points x, where the field's value r tells how far the zero set lies along the
+    /// face's unit normal n. A vertex that takes part in x with weight w is moved by the δ that minimises
+    /// Σ area·w·(r + n·δ)² + `pull`·Σ area·w·|δ − δ₀|², where δ₀ leads to the area-weighted centre of the fan, along the
+    /// tangent plane, if `relax`, and is 0 otherwise. Along directions in which the surface bends the fit holds the
+    /// vertex (ridges stay), along the others it follows δ₀. The surface comes to lie on both sides of the zero set in
+    /// equal parts instead of cutting its corners, and so encloses its volume.
+    fn settle_sweep(&mut self, pull: f64, relax: bool) {
+        let m = &self.mesh;
+        let samples: Vec<[f64; 6]> = (0..(m.org.len() / 3) as u32)
+            .into_par_iter()
+            .with_min_len(256)
+            .map(|f| {
+                if m.org[3 * f as usize] == NONE {
+                    return [0.0; 6];
                 }
-            }
-        }
-        let most = 0.1 * self.edge_mm;
-        for v in 0..count as u32 {
-            let w = weight[v as usize];
-            if self.mesh.out[v as usize] == NONE || w <= 0.0 {
+                let p = m.points(f);
+                SAMPLES.map(|w| {
+                    self.field.value(std::array::from_fn(|a| {
+                        w[0] * p[0][a] + w[1] * p[1][a] + w[2] * p[2][a]
+                    }))
+                })
+            })
+            .collect();
+        let most = 0.4 * self.edge_mm;
+        for v in 0..self.mesh.out.len() as u32 {
+            if self.mesh.out[v as usize] == NONE {
                 continue;
             }
-            let step = (-sum[v as usize] / w).clamp(-most, most);
-            let p = add_scaled(self.mesh.at(v), step, self.normal(v));
-            self.try_move(v, p, 0.8);
+            let m = &self.mesh;
+            let at = m.at(v);
+            let (mut a, mut b, mut weight) = ([0.0; 6], [0.0; 3], 0.0);
+            let (mut centre, mut area, mut normal) = ([0.0; 3], 0.0, [0.0; 3]);
+            for h in m.fan(v) {
+                let (p, q) = (m.at(m.to(h)), m.at(m.apex(h)));
+                let an = area_normal(at, p, q);
+                let l = length(an);
+                normal = add(normal, an);
+                centre = add_scaled(centre, l / 3.0, add(at, add(p, q)));
+                area += l;
+                if l <= 0.0 {
+                    continue;
+                }
+                let n = scale(an, 1.0 / l);
+                let (mut share, mut off) = (0.0, 0.0);
+                for (w, r) in SAMPLES.iter().zip(&samples[(h / 3) as usize]) {
+                    let w = l * w[(h % 3) as usize];
+                    share += w;
+                    off += w * r;
+                }
+                weight += share;
+                for (k, (i, j)) in [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
+                    .into_iter()
+                    .enumerate()
+                {
+                    a[k] += share * n[i] * n[j];
+                }
+                b = add_scaled(b, -off, n);
+            }
+            let l = length(normal);
+            if weight <= 0.0 || l <= 0.0 {
+                continue;
+            }
+            let n = scale(normal, 1.0 / l);
+            let mut to = [0.0; 3];
+            if relax {
+                to = sub(scale(centre, 1.0 / area), at);
+                to = add_scaled(to, -dot(to, n), n);
+            }
+            let mu = pull * weight;
+            let step = solve_symmetric(
+                [a[0] + mu, a[1], a[2], a[3] + mu, a[4], a[5] + mu],
+                add_scaled(b, mu, to),
+            );
+            let far = length(step);
+            let step = if far > most { scale(step, most / far) } else { step };
+            if !self.try_move(v, add(at, step), 0.8) && !self.try_move(v, add_scaled(at, 0.4, step), 0.8) {
+                let along = dot(step, n);
+                self.try_move(v, add_scaled(at, along, n), 0.8);
+            }
         }
     }
+}
+
+/// Six even barycentric points of a triangle.
+const SAMPLES: [[f64; 3]; 6] = {
+    let (a, b, c) = (7.0 / 9.0, 1.0 / 9.0, 4.0 / 9.0);
+    [[a, b, b], [b, a, b], [b, b, a], [c, c, b], [c, b, c], [b, c, c]]
+};
+
+/// Solves the positive definite system with the upper triangle `a` (row by row).
+fn solve_symmetric(a: [f64; 6], b: V3) -> V3 {
+    let l00 = a[0].sqrt();
+    let (l10, l20) = (a[1] / l00, a[2] / l00);
+    let l11 = (a[3] - l10 * l10).max(1e-12 * a[3]).sqrt();
+    let l21 = (a[4] - l20 * l10) / l11;
+    let l22 = (a[5] - l20 * l20 - l21 * l21).max(1e-12 * a[5]).sqrt();
+    let y0 = b[0] / l00;
+    let y1 = (b[1] - l10 * y0) / l11;
+    let y2 = (b[2] - l20 * y0 - l21 * y1) / l22;
+    let z = y2 / l22;
+    let y = (y1 - l21 * z) / l11;
+    [(y0 - l10 * y - l20 * z) / l00, y, z]
 }
 
 mod repair;
@@ -375,30 +410,5 @@ pub fn improve(
     params.check()?;
     let mut improver = Improver::new(HalfEdges::from_mesh(mesh)?, field, params, true);
     improver.run();
-    Ok((improver.mesh.to_mesh(), improver.report))
-}
-
-/// Vertices where the field does not rise and fall as beside a lone sheet: another sheet lies within about twice
-/// `reach_mm` outward or inward, or the surface bends that sharply.
-fn near_sheets(mesh: &HalfEdges, field: &dyn Implicit, reach_mm: f64) -> Vec<bool> {
-    (0..mesh.pos.len() as u32)
-        .map(|v| {
-            if mesh.out[v as usize] == NONE {
-                return false;
-            }
-            let n = mesh
-                .fan(v)
-                .fold([0.0; 3], |s, h| add(s, mesh.face_area_normal(h / 3)));
-            let l = length(n);
-            if l <= 0.0 {
-                return true;
-            }
-            let p = mesh.at(v);
-            [0.5, 1.0].iter().any(|s| {
-                let d = s * reach_mm;
-                field.value(add_scaled(p, d / l, n)) < 0.5 * d
-                    || field.value(add_scaled(p, -d / l, n)) > -0.5 * d
-            })
-        })
-        .collect()
+    Ok(improver.finish())
 }

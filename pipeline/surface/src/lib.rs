@@ -11,6 +11,7 @@ mod contour;
 mod decimate;
 mod distance;
 mod error;
+mod guard;
 mod halfedge;
 mod improve;
 mod intersect;

@@ -69,11 +69,8 @@ pub struct DecimateParams {
     /// Edges shorter than this (mm) are collapsed first, in order and without a heap; 0: none. Set it well below the
     /// edge length aimed at.
     pub first_phase_edge_mm: f64,
-    /// Refuse collapses whose new triangles would cross others, in the heap phase.
+    /// Refuse collapses whose new triangles would cross others.
     pub guard: bool,
-    /// The same in the first phase. Off: edges there are no longer than two samples of the field, sheets that near
-    /// are rare, and the stage does without only until its last check finds a crossing.
-    pub guard_first_phase: bool,
 }
 
 impl Default for DecimateParams {
@@ -83,7 +80,6 @@ impl Default for DecimateParams {
             quality_threshold: 0.99,
             first_phase_edge_mm: 0.0,
             guard: true,
-            guard_first_phase: false,
         }
     }
 }
@@ -125,6 +121,9 @@ pub struct ImproveParams {
     pub resize_rounds: usize,
     /// Rounds of the fit to the field's zero set.
     pub fit_rounds: usize,
+    /// Weight of even triangle shapes against the fit to the zero set, in the directions along which the surface
+    /// bends: near 0 vertices stay on ridges, near 1 they slide freely.
+    pub pull: f64,
     /// Triangles with a smaller angle (degrees) than this are repaired one by one.
     pub goal_angle_deg: f64,
     /// A flip that leaves its edge within this distance (mm) of the zero set is never refused for its distance.
@@ -139,6 +138,7 @@ impl Default for ImproveParams {
             rounds: 12,
             resize_rounds: 3,
             fit_rounds: 4,
+            pull: 0.02,
             goal_angle_deg: 24.0,
             flip_error_mm: 0.05,
             repair_error_mm: 0.3,
@@ -218,6 +218,7 @@ impl SurfaceParams {
 impl ImproveParams {
     pub(crate) fn check(&self) -> Result<(), SurfaceError> {
         let fields = [
+            ("improve.pull", self.pull, 1e-6, 1e3),
             ("improve.goal_angle_deg", self.goal_angle_deg, 0.0, 40.0),
             ("improve.flip_error_mm", self.flip_error_mm, 0.0, 1e3),
             ("improve.repair_error_mm", self.repair_error_mm, 0.0, 1e3),

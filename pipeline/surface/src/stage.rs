@@ -197,9 +197,8 @@ fn build_guarded(
         quality_threshold: params.quality_threshold,
         first_phase_edge_mm: FIRST_PHASE_SHARE * triangle_edge(area_mm2, report.target_faces),
         guard: true,
-        guard_first_phase: guard_all,
     };
-    let (mesh, decimated) = decimate_half_edges(mesh, &decimate)?;
+    let (mesh, decimated) = decimate_half_edges(mesh, &decimate, (!guard_all).then_some(field))?;
     report.decimate = decimated;
     report.add_step("decimated", &mesh.to_mesh());
     let mut improver = Improver::new(mesh, field, &params.improve, guard_all);
@@ -207,8 +206,8 @@ fn build_guarded(
     if params.improve.rounds > 0 {
         improver.match_volume(report.reference_volume_mm3);
     }
-    report.improve = improver.report;
-    let mesh = improver.mesh.to_mesh();
+    let (mesh, improved) = improver.finish();
+    report.improve = improved;
     report.add_step("improved", &mesh);
     Ok(mesh)
 }

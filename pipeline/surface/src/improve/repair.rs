@@ -2,7 +2,7 @@
 
 use super::*;
 
-impl Improver<'_> {
+impl<F: Implicit + ?Sized> Improver<'_, F> {
     /// Tries to lift every face below the goal; returns how many changes were made.
     pub(super) fn repair_worst(&mut self) -> usize {
         let goal = self.params.goal_angle_deg.to_radians();

@@ -8,7 +8,7 @@ const LONG: f64 = 1.4;
 /// Edges shorter than this many local sizes are collapsed.
 const SHORT: f64 = 0.7;
 
-impl Improver<'_> {
+impl<F: Implicit + ?Sized> Improver<'_, F> {
     /// Size of the triangles around each vertex as the edge of the equilateral one, smoothed, and scaled such that
     /// triangles of that size would be `target_faces`.
     fn local_sizes(&self, target_faces: usize) -> Vec<f64> {
@@ -191,12 +191,12 @@ impl Improver<'_> {
                 new.push(([b, s, t], [p, m.at(s), m.at(t)]));
             }
         }
-        if self.crosses(&old, &new) {
+        if self.guard.crosses(&old, &new) {
             return false;
         }
-        self.near[b as usize] |= self.near[a as usize];
+        self.guard.merge(b, a);
         self.mesh.collapse(h, p);
-        self.refresh(&old);
+        self.guard.update(&self.mesh, old);
         self.report.collapses += 1;
         true
     }
@@ -219,14 +219,13 @@ impl Improver<'_> {
             let (x, y) = (area_normal(q[0], q[1], q[2]), m.face_area_normal(g / 3));
             dot(x, y) < 0.5 * (norm2(x) * norm2(y)).sqrt()
         });
-        let near = [a, b, c, d].iter().any(|v| self.near[*v as usize]);
-        if turned || self.crosses(&[h / 3, t / 3], &new) {
+        if turned || self.guard.crosses(&[h / 3, t / 3], &new) {
             return false;
         }
         let first = (self.mesh.org.len() / 3) as u32;
         self.mesh.split(h, p);
-        self.near.push(near);
-        self.refresh(&[h / 3, t / 3, first, first + 1]);
+        self.guard.push(&[a, b, c, d]);
+        self.guard.update(&self.mesh, [h / 3, t / 3, first, first + 1]);
         self.report.splits += 1;
         true
     }
