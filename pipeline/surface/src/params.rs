@@ -115,10 +115,12 @@ impl DecimateParams {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ImproveParams {
-    /// Rounds of edge flips and tangential relaxation; 0 leaves the decimated surface as it is.
+    /// Rounds of edge flips and vertex moves; 0 leaves the decimated surface as it is.
     pub rounds: usize,
-    /// The first so many of them also split long edges and collapse short ones.
-    pub resize_rounds: usize,
+    /// At most so many more, with growing weight on shapes, while the mean quality is below the goal.
+    pub extra_rounds: usize,
+    /// Mean of 4√3·area/Σedge² to reach.
+    pub goal_mean_quality: f64,
     /// Rounds of the fit to the field's zero set.
     pub fit_rounds: usize,
     /// Weight of even triangle shapes against the fit to the zero set, in the directions along which the surface
@@ -135,10 +137,11 @@ pub struct ImproveParams {
 impl Default for ImproveParams {
     fn default() -> Self {
         Self {
-            rounds: 12,
-            resize_rounds: 3,
-            fit_rounds: 4,
-            pull: 0.02,
+            rounds: 4,
+            extra_rounds: 12,
+            goal_mean_quality: 0.905,
+            fit_rounds: 3,
+            pull: 0.03,
             goal_angle_deg: 24.0,
             flip_error_mm: 0.05,
             repair_error_mm: 0.3,
@@ -219,16 +222,17 @@ impl ImproveParams {
     pub(crate) fn check(&self) -> Result<(), SurfaceError> {
         let fields = [
             ("improve.pull", self.pull, 1e-6, 1e3),
+            ("improve.goal_mean_quality", self.goal_mean_quality, 0.0, 1.0),
             ("improve.goal_angle_deg", self.goal_angle_deg, 0.0, 40.0),
             ("improve.flip_error_mm", self.flip_error_mm, 0.0, 1e3),
             ("improve.repair_error_mm", self.repair_error_mm, 0.0, 1e3),
         ];
         for (name, value, lo, hi) in fields {
             if !(lo..=hi).contains(&value) {
-                let expected = if hi < 50.0 {
-                    "an angle from 0 to 40 degrees"
-                } else {
-                    "a length in mm"
+                let expected = match name {
+                    "improve.goal_angle_deg" => "an angle from 0 to 40 degrees",
+                    "improve.goal_mean_quality" => "from 0 to 1",
+                    _ => "a positive number up to 1000",
                 };
                 return Err(SurfaceError::Parameter {
                     name,

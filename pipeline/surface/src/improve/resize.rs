@@ -63,14 +63,15 @@ impl<F: Implicit + ?Sized> Improver<'_, F> {
                 .relative_length(h, &size)
                 .is_some_and(|(ratio, _)| ratio < SHORT)
             {
-                self.collapse_at_level(h, &size);
+                self.collapse_at_level(h, &size, 1.0);
             }
         }
     }
 
     /// Collapses the relatively shortest edges, or splits the longest, until `target_faces` are left to within one.
     pub(super) fn trim(&mut self, target_faces: usize) {
-        for _ in 0..4 {
+        // Passes with more and more leave to go off the surface.
+        for slack in [1.0, 2.0, 4.0, 8.0, 16.0] {
             let excess = self.mesh.live_faces as i64 - target_faces as i64;
             if excess.abs() < 2 {
                 return;
@@ -98,7 +99,7 @@ impl<F: Implicit + ?Sized> Improver<'_, F> {
                     continue;
                 }
                 if excess > 0 {
-                    self.collapse_at_level(h, &size);
+                    self.collapse_at_level(h, &size, slack);
                 } else if let Some((_, middle)) = self.relative_length(h, &size)
                     && self.split_at_level(h)
                 {
@@ -130,7 +131,7 @@ impl<F: Implicit + ?Sized> Improver<'_, F> {
 
     /// Collapses `h` to its middle, moved to the mean level of its ends, unless that makes a bad triangle, a long
     /// edge, or leaves the surface.
-    fn collapse_at_level(&mut self, h: u32, size: &[f64]) -> bool {
+    fn collapse_at_level(&mut self, h: u32, size: &[f64], slack: f64) -> bool {
         let m = &self.mesh;
         let (a, b) = (m.from(h), m.to(h));
         let (pa, pb) = (m.at(a), m.at(b));
@@ -155,12 +156,11 @@ impl<F: Implicit + ?Sized> Improver<'_, F> {
                 }
                 let edge_off = self.off_surface(midpoint(p, ps));
                 let centre_off = self.off_surface(scale(add(p, add(ps, pt)), 1.0 / 3.0));
-                if edge_off.max(centre_off)
-                    > self
-                        .params
-                        .flip_error_mm
-                        .max(self.off_surface(midpoint(m.at(v), ps)))
-                {
+                let now = self
+                    .params
+                    .flip_error_mm
+                    .max(self.off_surface(midpoint(m.at(v), ps)));
+                if edge_off.max(centre_off) > slack * now {
                     return false;
                 }
             }
