@@ -31,3 +31,8 @@ update-golden:
 bench:
     cargo build --release --bin build-model
     cargo run --release -p palpate-tests --bin soak -- --repeat 3
+
+# Particle and cluster counts of a real kidney at the paper's five radii. Needs PALPATE_DATA.
+radii:
+    cargo build --release --bin build-model
+    cargo run --release -p palpate-tests --bin soak -- --radii

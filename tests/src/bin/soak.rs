@@ -1,5 +1,6 @@
 //! Builds every real case with default settings as a user would, verifies the packages, and prints the tables of
-//! docs/benchmarks.md. `soak [--repeat N] [--keep DIR] [NAME…]`; `PALPATE_DATA` names the folder with the scans.
+//! docs/benchmarks.md. `soak [--repeat N] [--keep DIR] [--radii] [NAME…]`; `PALPATE_DATA` names the folder with the
+//! scans. `--radii` prints the particle counts of the paper's five radii for one kidney instead (its Figure 5).
 //!
 //! Exit status 1 where a case fails to build, to verify, or to meet a figure.
 
@@ -83,11 +84,13 @@ fn run() -> anyhow::Result<bool> {
     let data = PathBuf::from(std::env::var_os("PALPATE_DATA").context("PALPATE_DATA names no folder")?);
     let mut repeat = 1;
     let mut keep = None;
+    let mut radii = false;
     let mut only: Vec<String> = Vec::new();
     let mut args = std::env::args().skip(1);
     while let Some(a) = args.next() {
         match a.as_str() {
             "--repeat" => repeat = args.next().context("--repeat N")?.parse()?,
+            "--radii" => radii = true,
             "--keep" => keep = Some(PathBuf::from(args.next().context("--keep DIR")?)),
             _ => only.push(a),
         }
@@ -101,6 +104,9 @@ fn run() -> anyhow::Result<bool> {
             "build the binary first: cargo build --release --bin build-model ({})",
             program.display()
         );
+    }
+    if radii {
+        return print_radii(&program, &data, &folder);
     }
     let mut quality = String::new();
     let mut times = String::new();
@@ -171,6 +177,46 @@ fn run() -> anyhow::Result<bool> {
     }
     println!("{} faults", faults.len());
     Ok(faults.is_empty())
+}
+
+/// Particles and clusters of the left kidney of case_00000 at the paper's five radii.
+fn print_radii(program: &Path, data: &Path, folder: &Path) -> anyhow::Result<bool> {
+    let all = cases(data);
+    let case = all
+        .iter()
+        .find(|c| c.name == "00000 left")
+        .context("no case_00000")?;
+    println!(
+        "| radius mm | samples | particles | clusters | members a cluster | clusters a particle | most clusters of a \
+         particle | nearest mean mm | N r³ / V | seconds |\n|---|---|---|---|---|---|---|---|---|---|"
+    );
+    for radius in ["2.2", "2.5", "2.7", "3.0", "3.3"] {
+        let package = folder.join(format!("radius-{radius}.palpate"));
+        let out = Command::new(program)
+            .args(&case.args)
+            .args(["--radius", radius, "--json", "-o"])
+            .arg(&package)
+            .output()?;
+        if !out.status.success() {
+            bail!("radius {radius}: {}", String::from_utf8_lossy(&out.stderr));
+        }
+        let v: Value = serde_json::from_slice(&out.stdout)?;
+        let s = stage(&v, "particles");
+        let p = &s["report"];
+        println!(
+            "| {radius} | {} | {} | {} | {:.1} | {:.2} | {} | {:.2} | {:.3} | {:.2} |",
+            p["samples"],
+            p["particles"],
+            p["clusters"],
+            num(&p["members_mean"]),
+            num(&p["clusters_per_particle_mean"]),
+            p["clusters_per_particle_max"],
+            num(&p["nearest_mean_mm"]),
+            num(&p["packing"]),
+            num(&s["seconds"])
+        );
+    }
+    Ok(true)
 }
 
 fn stage<'a>(v: &'a Value, name: &str) -> &'a Value {
