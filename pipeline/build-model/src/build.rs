@@ -12,7 +12,7 @@ use palpate_volume::{
     Anatomy, Body, CtVolume, Implicit, LabelGrid, LabelVolume, ReadReport, ScalarField, VolumeReport,
     build_anatomy, read_ct, read_labels,
 };
-use serde::Serialize;
+use rayon::prelude::*;
 use sha2::{Digest, Sha256};
 use std::io::Read;
 use std::path::Path;
@@ -58,14 +58,6 @@ struct TetSide {
     fem_report: FemReport,
     embedding: TetMesh,
     stages: Vec<StageRecord>,
-}
-
-/// What went into and came out of the surface stage of one body.
-#[derive(Serialize)]
-struct SurfaceStage {
-    name: String,
-    surface: SurfaceReport,
-    comparison: BodyComparison,
 }
 
 /// Builds a model: reads the scan and runs every stage in order.
@@ -170,33 +162,53 @@ fn surface_side(anatomy: &Anatomy, recipe: &Recipe) -> anyhow::Result<SurfaceSid
         .chain(anatomy.structures.iter().map(|s| &s.body))
         .chain(&anatomy.supports)
         .collect();
-    let mut surfaces = Vec::new();
-    let mut reports = Vec::new();
-    for body in &bodies {
-        let (mesh, report) = build_surface(&body.field, &body.caps, body.voxel_volume_mm3, &recipe.surface)
-            .with_context(|| format!("surface of {}", body.name))?;
-        reports.push((body.name.clone(), report));
-        surfaces.push((body.name.clone(), mesh));
-    }
-    let seconds = clock.elapsed().as_secs_f64();
-    let clock = Instant::now();
-    let mut compared = Vec::new();
-    for ((body, (_, mesh)), (name, surface)) in bodies.iter().zip(&surfaces).zip(reports) {
-        let comparison = compare(body, mesh).with_context(|| format!("distances of {name}"))?;
-        compared.push(SurfaceStage {
-            name,
-            surface,
-            comparison,
-        });
-    }
-    let mut stages = vec![
-        rows::surface(compared.iter().map(|s| (s.name.as_str(), &s.surface)), seconds)?,
-        rows::comparison(
-            compared.iter().map(|s| (s.name.as_str(), &s.comparison)),
-            clock.elapsed().as_secs_f64(),
-        )?,
-    ];
+    let made = bodies
+        .par_iter()
+        .map(|body| {
+            build_surface(&body.field, &body.caps, body.voxel_volume_mm3, &recipe.surface)
+                .with_context(|| format!("surface of {}", body.name))
+        })
+        .collect::<anyhow::Result<Vec<(TriMesh, SurfaceReport)>>>()?;
+    let (meshes, reports): (Vec<TriMesh>, Vec<SurfaceReport>) = made.into_iter().unzip();
+    let names = || bodies.iter().map(|b| b.name.as_str());
+    let mut stages = vec![rows::surface(
+        names().zip(&reports),
+        clock.elapsed().as_secs_f64(),
+    )?];
 
+    let (compared, filled) = rayon::join(
+        || compare_all(&bodies, &meshes),
+        || fill(anatomy, &meshes[0], recipe),
+    );
+    let (comparisons, seconds) = compared?;
+    stages.push(rows::comparison(names().zip(&comparisons), seconds)?);
+    let (particles, clusters, stage) = filled?;
+    stages.push(stage);
+    let surfaces = bodies.iter().map(|b| b.name.clone()).zip(meshes).collect();
+    Ok(SurfaceSide {
+        surfaces,
+        particles,
+        clusters,
+        stages,
+    })
+}
+
+/// Distances of every body's surface to its labels, and the time that took, s.
+fn compare_all(bodies: &[&Body], meshes: &[TriMesh]) -> anyhow::Result<(Vec<BodyComparison>, f64)> {
+    let clock = Instant::now();
+    let found = bodies
+        .par_iter()
+        .zip(meshes)
+        .map(|(body, mesh)| compare(body, mesh).with_context(|| format!("distances of {}", body.name)))
+        .collect::<anyhow::Result<_>>()?;
+    Ok((found, clock.elapsed().as_secs_f64()))
+}
+
+fn fill(
+    anatomy: &Anatomy,
+    organ: &TriMesh,
+    recipe: &Recipe,
+) -> anyhow::Result<(ParticleSet, Clusters, StageRecord)> {
     let clock = Instant::now();
     let fields: Vec<&ScalarField> = anatomy.structures.iter().map(|s| &s.divider).collect();
     let region_of = |p: [f64; 3]| {
@@ -205,17 +217,11 @@ fn surface_side(anatomy: &Anatomy, recipe: &Recipe) -> anyhow::Result<SurfaceSid
             .position(|f| f.value(p) < 0.0)
             .map_or(0, |n| u16::try_from(n + 1).unwrap_or(0))
     };
-    let organ = &surfaces[0].1;
     let (particles, clusters, report): (_, _, ParticleReport) =
         build_particles(&organ.vertices, &organ.triangles, &region_of, &recipe.particles)
             .with_context(|| format!("particles of {}", anatomy.organ.name))?;
-    stages.push(rows::particles(&report, clock.elapsed().as_secs_f64())?);
-    Ok(SurfaceSide {
-        surfaces,
-        particles,
-        clusters,
-        stages,
-    })
+    let stage = rows::particles(&report, clock.elapsed().as_secs_f64())?;
+    Ok((particles, clusters, stage))
 }
 
 fn tet_side(anatomy: &Anatomy, dividers: &[&dyn Implicit], recipe: &Recipe) -> anyhow::Result<TetSide> {
@@ -480,14 +486,4 @@ pub(crate) fn without_path(report: &ReadReport) -> ReadReport {
         .map(|n| n.to_string_lossy().into_owned())
         .unwrap_or_default();
     r
-}
-
-/// Voxels that carry any label.
-pub(crate) fn labelled(labels: &LabelVolume) -> usize {
-    labels.values.iter().filter(|v| **v != 0).count()
-}
-
-/// Sum of what the volume stage warns of.
-pub(crate) fn volume_warnings(report: &VolumeReport) -> Vec<String> {
-    report.warnings.clone()
 }

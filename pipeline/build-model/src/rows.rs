@@ -1,6 +1,6 @@
 //! From each stage's report to the few figures that a person judges by.
 
-use crate::build::{labelled, volume_warnings, without_path};
+use crate::build::without_path;
 use crate::compare::BodyComparison;
 use crate::stage::StageRecord;
 use palpate_particles::ParticleReport;
@@ -49,7 +49,10 @@ pub(crate) fn read(report: &ReadReport, labels: &LabelVolume, seconds: f64) -> a
             "file",
             format!("{}, affine from {}", report.format, report.affine_source),
         )
-        .row("labels", labelled(labels).to_string());
+        .row(
+            "labels",
+            labels.values.iter().filter(|v| **v != 0).count().to_string(),
+        );
     r.warnings.extend(report.warnings.iter().map(ToString::to_string));
     Ok(r)
 }
@@ -110,7 +113,7 @@ pub(crate) fn volume(report: &VolumeReport, seconds: f64) -> anyhow::Result<Stag
     {
         r = body(r, b);
     }
-    r.warnings = volume_warnings(report);
+    r.warnings = report.warnings.clone();
     Ok(r)
 }
 
