@@ -9,8 +9,8 @@ use palpate_skinning::{SkinReport, SkinWeights, bind};
 use palpate_surface::{SurfaceReport, TriMesh, build_surface};
 use palpate_tetmesh::{EmbeddingReport, FemReport, TetMesh, build_embedding, build_fem};
 use palpate_volume::{
-    Anatomy, Body, CtVolume, Implicit, LabelGrid, LabelVolume, ReadReport, ScalarField, VolumeReport,
-    build_anatomy, read_ct, read_labels,
+    Anatomy, Body, CtVolume, Implicit, LabelGrid, ReadReport, ScalarField, build_anatomy, read_ct,
+    read_labels,
 };
 use rayon::prelude::*;
 use sha2::{Digest, Sha256};
