@@ -95,7 +95,7 @@ fn table(out: &mut String, opened: &Opened) -> std::fmt::Result {
         shared / c.len() as f64,
         shared / p.positions.len() as f64,
         c.members.len(),
-        measure::cluster_pieces(c)
+        measure::cluster_pieces(c).map_or_else(|| "uncounted".to_string(), |n| n.to_string())
     )?;
     for (code, name) in m.info.regions.iter().enumerate() {
         let count = |all: &[u16]| all.iter().filter(|&&r| usize::from(r) == code).count();

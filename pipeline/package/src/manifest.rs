@@ -9,7 +9,7 @@ pub(crate) const NAME: &str = "manifest.json";
 const FORMAT: &str = "palpate-model";
 const FRAME: &str = "patient RAS+ mm minus local_origin_mm";
 /// More than any recipe and report take; JSON in memory is many times its text.
-const MAX_BYTES: usize = 16 << 20;
+const MAX_BYTES: usize = 4 << 20;
 const DIGEST_KEY: &str = "\"content_sha256\"";
 
 /// `manifest.json` of schema 1. `content_sha256` is written behind it, see [`to_text`].

@@ -4,6 +4,9 @@ use crate::check::Found;
 use crate::model::{Affine34, Clusters, ModelPackage};
 use crate::{PackageError, topology};
 
+/// Pairs of memberships that are looked at, 8 bytes each.
+const MAX_SHARES: u64 = 1 << 26;
+
 fn point(p: [f32; 3]) -> [f64; 3] {
     p.map(f64::from)
 }
@@ -91,9 +94,17 @@ pub(crate) fn dihedral_range(vertices: &[[f32; 3]], tets: &[[u32; 4]]) -> (f64, 
     (least, most)
 }
 
-/// Number of pieces of the graph in which clusters that share at least three particles are neighbours.
-pub(crate) fn cluster_pieces(clusters: &Clusters) -> usize {
+/// Number of pieces of the graph in which clusters that share at least three particles are neighbours. `None` where
+/// particles are in so many clusters that counting would take gigabytes; real ones are in about three.
+pub(crate) fn cluster_pieces(clusters: &Clusters) -> Option<usize> {
     let n = clusters.len();
+    let shares = clusters
+        .particle_offsets
+        .windows(2)
+        .map(|w| u64::from(w[1] - w[0]).pow(2) / 2);
+    if shares.fold(0u64, u64::saturating_add) > MAX_SHARES {
+        return None;
+    }
     let mut owner = vec![0u32; clusters.members.len()];
     for c in 0..n {
         owner[clusters.offsets[c] as usize..clusters.offsets[c + 1] as usize].fill(c as u32);
@@ -123,7 +134,7 @@ pub(crate) fn cluster_pieces(clusters: &Clusters) -> usize {
             pieces -= 1;
         }
     }
-    pieces
+    Some(pieces)
 }
 
 /// Inverse of an affine that has passed its check.
@@ -172,7 +183,7 @@ pub(crate) fn embedding_cover(model: &ModelPackage) -> Result<Found, PackageErro
                 if hi < 0.0 {
                     0
                 } else {
-                    (hi as usize + 1).min(dims[r])
+                    (hi as usize).saturating_add(1).min(dims[r])
                 },
             )
         });
@@ -227,4 +238,44 @@ pub(crate) fn embedding_cover(model: &ModelPackage) -> Result<Found, PackageErro
 
 fn is_organ(label: u8, regions: usize) -> bool {
     label > 0 && usize::from(label) <= regions
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::Particles;
+
+    #[test]
+    fn clusters_hold_together_by_three_particles() {
+        let positions: Vec<[f32; 3]> = (0..8u8).map(|i| [f32::from(i), 0.0, 0.0]).collect();
+        let particles = Particles {
+            positions,
+            ..Particles::default()
+        };
+        let pieces = |second: [u32; 4]| {
+            let members = [[0, 1, 2, 3], second].concat();
+            cluster_pieces(&Clusters::new(&particles, vec![0, 4, 8], members, vec![0, 0]).unwrap())
+        };
+        assert_eq!(pieces([4, 5, 6, 7]), Some(2));
+        assert_eq!(pieces([2, 3, 4, 5]), Some(2));
+        assert_eq!(pieces([1, 2, 3, 4]), Some(1));
+    }
+
+    /// A particle in each of 20 000 clusters must not make 200 million pairs.
+    #[test]
+    fn crowded_particles_are_not_counted() {
+        let particles = Particles {
+            positions: vec![[0.0; 3]],
+            ..Particles::default()
+        };
+        let n = 20_000u32;
+        let clusters = Clusters::new(
+            &particles,
+            (0..=n).collect(),
+            vec![0; n as usize],
+            vec![0; n as usize],
+        )
+        .unwrap();
+        assert_eq!(cluster_pieces(&clusters), None);
+    }
 }

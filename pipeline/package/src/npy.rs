@@ -51,7 +51,7 @@ impl Dtype {
 /// A Rust type with its place in a file.
 pub(crate) trait Element: Copy {
     const DTYPE: Dtype;
-    fn put(self, out: &mut Vec<u8>);
+    fn put(self, place: &mut [u8]);
     fn get(bytes: &[u8]) -> Self;
 }
 
@@ -59,8 +59,8 @@ macro_rules! element {
     ($($t:ty, $d:ident;)*) => {$(
         impl Element for $t {
             const DTYPE: Dtype = Dtype::$d;
-            fn put(self, out: &mut Vec<u8>) {
-                out.extend_from_slice(&self.to_le_bytes());
+            fn put(self, place: &mut [u8]) {
+                place.copy_from_slice(&self.to_le_bytes());
             }
             fn get(bytes: &[u8]) -> Self {
                 let mut b = [0u8; size_of::<$t>()];
@@ -116,8 +116,9 @@ pub(crate) fn encode<T: Element>(shape: &[usize], data: impl IntoIterator<Item =
     out.extend_from_slice(dict.as_bytes());
     out.resize(header - 1, b' ');
     out.push(b'\n');
-    for v in data {
-        v.put(&mut out);
+    out.resize(header + count * T::DTYPE.size(), 0);
+    for (place, v) in out[header..].chunks_exact_mut(T::DTYPE.size()).zip(data) {
+        v.put(place);
     }
     out
 }

@@ -352,6 +352,17 @@ fn grids_and_affines_must_fit() {
 
 #[test]
 fn names_must_tell_bodies_apart() {
+    refused(
+        |m| {
+            for n in 0..253 {
+                let mut s = m.surfaces[2].clone();
+                s.name = format!("support {n}");
+                m.surfaces.push(s);
+            }
+        },
+        "manifest.json",
+        "surfaces: 256 bodies",
+    );
     refused(|m| m.info.regions[1] = "kidney".into(), "manifest.json", "twice");
     refused(
         |m| m.surfaces[0].name = "liver".into(),

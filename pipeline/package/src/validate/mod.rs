@@ -130,12 +130,14 @@ fn names(model: &ModelPackage) -> Result<Found, PackageError> {
     if regions.is_empty() {
         return Err(manifest_fault("regions", "none", "the organ first"));
     }
-    if model.labels.names.len() > MAX_BODIES {
-        return Err(manifest_fault(
-            "label_names",
-            format!("{} bodies", model.labels.names.len()),
-            "at most 255",
-        ));
+    for (what, n) in [
+        ("label_names", model.labels.names.len()),
+        ("surfaces", model.surfaces.len()),
+        ("tagged", model.fem.tagged.len()),
+    ] {
+        if n > MAX_BODIES {
+            return Err(manifest_fault(what, format!("{n} bodies"), "at most 255"));
+        }
     }
     if !model.labels.names.starts_with(regions) {
         return Err(manifest_fault(
