@@ -206,12 +206,12 @@ fn mean_edge(mesh: &TetMesh) -> f64 {
     sum / n.max(1) as f64
 }
 
-/// What must not change: regions in use, and for each surface (and all of them together) the Euler number and the
-/// number of border edges.
+/// What must not change: the regions in use, and for the boundary and the surface of each region its Euler number
+/// and whether every edge has two faces.
 #[derive(PartialEq, Debug)]
 struct Signature {
     regions: Vec<bool>,
-    surfaces: Vec<(i64, usize)>,
+    surfaces: Vec<(i64, bool)>,
 }
 
 impl Signature {
@@ -239,8 +239,8 @@ impl Signature {
     }
 }
 
-/// Euler number of a set of triangles and the number of edges that do not have exactly two of them.
-fn euler(faces: impl Iterator<Item = [u32; 3]>) -> (i64, usize) {
+/// Euler number of a set of triangles and whether every edge has exactly two of them.
+fn euler(faces: impl Iterator<Item = [u32; 3]>) -> (i64, bool) {
     let (mut verts, mut edges, mut n) = (Vec::new(), Vec::new(), 0i64);
     for f in faces {
         n += 1;
@@ -252,15 +252,15 @@ fn euler(faces: impl Iterator<Item = [u32; 3]>) -> (i64, usize) {
     verts.sort_unstable();
     verts.dedup();
     edges.sort_unstable();
-    let (mut count, mut odd) = (0i64, 0);
+    let (mut count, mut manifold) = (0i64, true);
     let mut i = 0;
     while i < edges.len() {
         let m = edges[i..].iter().take_while(|e| **e == edges[i]).count();
         count += 1;
-        odd += usize::from(m != 2);
+        manifold &= m == 2;
         i += m;
     }
-    (verts.len() as i64 - count + n, odd)
+    (verts.len() as i64 - count + n, manifold)
 }
 
 impl Improver<'_> {
