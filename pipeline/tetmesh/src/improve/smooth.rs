@@ -88,7 +88,7 @@ impl Improver<'_> {
             return None;
         }
         complex.surface_faces(v, faces);
-        let guard = (!faces.is_empty()).then(|| SurfaceGuard::new(self, start, faces));
+        let mut guard = None;
 
         let (mut x, mut f) = (start, first);
         let mut longest_step = 0.4 * length;
@@ -147,7 +147,12 @@ impl Improver<'_> {
                     }
                     let need = f + (0.1 * step * size).clamp(GAIN, 0.05);
                     let reached = score_at(y, star, need);
-                    if reached > need && guard.as_ref().is_none_or(|g| g.allows(self, y, faces)) {
+                    if reached > need
+                        && (faces.is_empty()
+                            || guard
+                                .get_or_insert_with(|| SurfaceGuard::new(self, start, faces))
+                                .allows(self, y, faces))
+                    {
                         (x, f) = (y, reached);
                         longest_step = (2.0 * step).min(0.4 * length);
                         if f >= 1.0 {
