@@ -2,10 +2,16 @@
 
 use crate::distance::redistance;
 use crate::enclosed::{Cells, enclosed_volume, solve_shift};
+use crate::field_repair::{Wanted, follow_flips, repair_signs, repair_voxels};
+use crate::slices::{SliceStack, interpolate, smooth_grid};
 use crate::smooth::{Amplitudes, Grid, blur, edge_offset};
+use crate::topology::shape;
 use crate::volume_report::BodyReport;
 use crate::{Affine, Body, CapPlane, ScalarField, VolumeError, VolumeParams, VoxelMask};
 use rayon::prelude::*;
+
+/// Variance (samples²) of the smoothing after the interpolation between slices: it takes the creases at the slices.
+pub(crate) const SLICE_SMOOTHING: f64 = 1.0;
 
 /// Box of the ones of a mask: lowest index and exclusive highest. `None`: empty.
 pub(crate) fn occupied(data: &[u8], dims: [usize; 3]) -> Option<([usize; 3], [usize; 3])> {
@@ -240,12 +246,13 @@ fn antialiased(mask: &VoxelMask, grid: &Grid, to_index: Affine, params: &VolumeP
     values
 }
 
-/// Builds the field of a body from its repaired voxels.
+/// Builds the field of a body from its voxels, and settles both: components, voids, handles, volume.
 pub(crate) fn build_body(
     name: &str,
     drawn: VoxelMask,
-    mask: VoxelMask,
+    mut mask: VoxelMask,
     slice_axis: usize,
+    part_mm3: f64,
     params: &VolumeParams,
     report: &mut BodyReport,
     warnings: &mut Vec<String>,
@@ -255,21 +262,71 @@ pub(crate) fn build_body(
     })?;
     let grid = plan_grid(name, &mask, params, warnings)?;
     let caps = caps_of(&mask, &to_index);
-    let target = mask.volume_mm3();
-    let mut values = antialiased(&mask, &grid, to_index, params);
-    let reach = mask.affine.spacing_mm().into_iter().fold(0.0, f64::max);
-    report.level_shift_mm = shift_to_volume(&mut values, &grid, &caps, target, reach);
-    redistance(&mut values, &grid);
-    let field = ScalarField {
+    let voxel_mm = mask.affine.spacing_mm();
+    let reach = voxel_mm.into_iter().fold(0.0, f64::max);
+    let wanted = Wanted {
+        part_mm3,
+        void_mm3: params.void_mm3,
+        handle_mm: if params.keep_topology {
+            0.0
+        } else {
+            params.max_handle_mm
+        },
+    };
+    let as_field = |values: Vec<f32>| ScalarField {
         dims: grid.dims,
         origin_mm: grid.origin_mm,
         spacing_mm: grid.spacing_mm,
         values,
     };
+    let mut interpolated = None;
+    let mut values = if voxel_mm[slice_axis] > params.thick_slice_mm {
+        let stack = SliceStack {
+            dims: mask.dims,
+            data: &mask.data,
+            affine: &mask.affine,
+            axis: slice_axis,
+        };
+        let mut values = interpolate(&stack, &grid, &to_index, params.smoothing_voxels);
+        redistance(&mut values, &grid);
+        let mut cut = values.clone();
+        cut_by_caps(&mut cut, &grid, &caps);
+        interpolated = Some(as_field(cut));
+        smooth_grid(&mut values, grid.dims, SLICE_SMOOTHING);
+        values
+    } else {
+        antialiased(&mask, &grid, to_index, params)
+    };
+    report.level_shift_mm = shift_to_volume(&mut values, &grid, &caps, mask.volume_mm3(), reach);
+    redistance(&mut values, &grid);
+    let start = shape(&mask.data, mask.dims);
+    let repaired = repair_signs(&mut values, &grid, &wanted, &|_| true);
+    if !repaired.flips.is_empty() {
+        redistance(&mut values, &grid);
+        follow_flips(&mut mask, &grid, &to_index, &repaired.flips);
+    }
+    let field = as_field(values);
+    (report.voxel_topology, _) = repair_voxels(&mut mask, Some(start), &field, &wanted, &|_| true);
+    let mut values = field.values;
+    if repaired.dropped.0 > 0 {
+        report.strays.count += repaired.dropped.0;
+        report.strays.volume_mm3 += repaired.dropped.1;
+        if repaired.dropped.1 > 100.0 {
+            warnings.push(format!(
+                "'{name}': {} parts of {:.0} mm³ together hang on by less than the sampling holds and were dropped",
+                repaired.dropped.0, repaired.dropped.1
+            ));
+        }
+    }
+    let target = mask.volume_mm3();
+    report.level_shift_mm += settle_volume(&mut values, &grid, &caps, target);
+    let field = as_field(values);
     report.name = name.to_owned();
     report.drawn_mm3 = drawn.volume_mm3();
     report.voxel_mm3 = target;
     report.field_mm3 = enclosed_volume(&field.values, &grid);
+    report.components = repaired.components;
+    report.field_topology = repaired.report;
     report.spacing_mm = grid.spacing_mm;
     report.field_dims = grid.dims;
     report.caps = caps.clone();
@@ -279,10 +336,47 @@ pub(crate) fn build_body(
         mask,
         voxel_volume_mm3: target,
         field,
-        interpolated: None,
+        interpolated,
         slice_axis,
         caps,
     })
+}
+
+/// Shifts the level of a finished field by a fraction of a sample so that it encloses the target. No sample changes
+/// side, so the topology stays; the caps stay where they are.
+fn settle_volume(values: &mut [f32], grid: &Grid, caps: &[CapPlane], target_mm3: f64) -> f64 {
+    let h = grid.spacing_mm;
+    let reach = 0.4 * h;
+    let cap_at = |n: usize| {
+        let p = grid.position(grid.ijk(n));
+        caps.iter()
+            .map(|c| c.distance(p))
+            .fold(f64::NEG_INFINITY, f64::max)
+    };
+    let shifted = |n: usize, v: f32, s: f64| {
+        let v = f64::from(v);
+        // Beside a cap the cap decides, and it does not move.
+        let w = if !caps.is_empty() && v.abs() < 2.0 * h && (v - cap_at(n)).abs() < 0.05 * h {
+            v
+        } else {
+            v - s
+        };
+        if v < 0.0 {
+            w.min(-0.01 * h)
+        } else {
+            w.max(0.01 * h)
+        }
+    };
+    let cells = Cells::around(values, grid.dims, -reach as f32, reach as f32);
+    let volume = |s: f64| cells.volume(grid, &|n| shifted(n, values[n], s));
+    let shift = solve_shift(volume, target_mm3, reach, 2e-4 * target_mm3, 0.05 * h);
+    let (nxy, _) = (grid.dims[0] * grid.dims[1], ());
+    values.par_chunks_mut(nxy).enumerate().for_each(|(k, slab)| {
+        for (m, v) in slab.iter_mut().enumerate() {
+            *v = shifted(k * nxy + m, *v, shift) as f32;
+        }
+    });
+    shift
 }
 
 impl ScalarField {

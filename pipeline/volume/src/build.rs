@@ -1,18 +1,16 @@
 //! The stage: labels in, [`Anatomy`] out.
 
-use crate::body::{build_body, crop_mask, default_spacing};
+use crate::body::{build_body, crop_mask};
 use crate::components::{Component, Runs, sides};
-use crate::divider::{dividers, extend_materials, indicators};
-use crate::enclosed::enclosed_volume;
+use crate::crop::{CROP_MARGIN, Crop, check_size, context_box, minimum_volume, organ_box};
 use crate::repair::{absorb_strays, drop_small, fill_voids};
-use crate::volume_report::{BodyReport, StrayReport, VolumeReport};
+use crate::structures::build_structures;
+use crate::volume_report::{BodyReport, VolumeReport};
 use crate::{
-    Affine, Anatomy, AnatomySelection, Body, ComponentChoice, ComponentInfo, LabelGrid, RegionLabels,
-    RegionSelection, ScalarField, Structure, VolumeError, VolumeParams, VoxelMask,
+    Anatomy, AnatomySelection, Body, ComponentChoice, ComponentInfo, LabelGrid, RegionLabels,
+    RegionSelection, VolumeError, VolumeParams,
 };
 
-/// Voxels left around a body's crop.
-const CROP_MARGIN: usize = 2;
 /// Most regions: codes of the region map are bytes, 0 is outside.
 const MAX_REGIONS: usize = 250;
 
@@ -37,6 +35,7 @@ pub fn build_anatomy(
         ..VolumeReport::default()
     };
     report.slice_axis = slice_axis(report.voxel_mm);
+    report.slices_interpolated = report.voxel_mm[report.slice_axis] > params.thick_slice_mm;
     let voxel_mm3 = labels.affine.det().abs();
 
     progress("components", 0.0);
@@ -46,7 +45,9 @@ pub fn build_anatomy(
     let chosen = choose(&runs, labels, selection, params, &mut report)?;
 
     progress("repair", 0.2);
-    let mut crop = Crop::of_component(&runs, &chosen, labels);
+    let mut crop = Crop::of_component(&runs, &chosen.component, labels, |r| {
+        (chosen.of_run[r] == chosen.number).then(|| runs.runs[r].class)
+    });
     let drawn = crop.material.clone();
     let organ_name = &selection.organ.name;
     let mut organ_report = BodyReport {
@@ -76,15 +77,17 @@ pub fn build_anatomy(
         crop.mask(&drawn, |m| m != 0, organ_name)?,
         mask,
         report.slice_axis,
+        f64::INFINITY,
         params,
         &mut organ_report,
         &mut report.warnings,
     )?;
-    organ_report.components = 1;
     report.organ = organ_report;
 
+    crop.follow(&organ.mask, labels);
+
     progress("structures", 0.6);
-    let structures = build_structures(&crop, &drawn, selection, params, &organ, &given, &mut report)?;
+    let structures = build_structures(&mut crop, &drawn, selection, params, &organ, &given, &mut report)?;
 
     progress("supports", 0.8);
     let supports = build_supports(&runs, labels, selection, params, &organ, &mut report)?;
@@ -333,272 +336,6 @@ fn choose(
     })
 }
 
-/// Materials (0 outside, 1 organ, 2… structures) of the chosen component in its box.
-struct Crop {
-    lo: [usize; 3],
-    dims: [usize; 3],
-    affine: Affine,
-    material: Vec<u8>,
-}
-
-impl Crop {
-    fn of_component(runs: &Runs, chosen: &Chosen, labels: &LabelGrid) -> Self {
-        let c = &chosen.component;
-        let lo = c.lo.map(|v| v.saturating_sub(CROP_MARGIN));
-        let hi: [usize; 3] = std::array::from_fn(|a| (c.hi[a] + CROP_MARGIN).min(labels.dims[a]));
-        Self::fill(runs, labels, lo, hi, |r| {
-            (chosen.of_run[r] == chosen.number).then(|| runs.runs[r].class)
-        })
-    }
-
-    /// Box `lo..hi` of the scan with the material that `class` gives to each run.
-    fn fill(
-        runs: &Runs,
-        labels: &LabelGrid,
-        lo: [usize; 3],
-        hi: [usize; 3],
-        class: impl Fn(usize) -> Option<u8>,
-    ) -> Self {
-        let dims: [usize; 3] = std::array::from_fn(|a| hi[a] - lo[a]);
-        let mut material = vec![0; dims.iter().product()];
-        for k in lo[2]..hi[2] {
-            for j in lo[1]..hi[1] {
-                let row = dims[0] * (j - lo[1] + dims[1] * (k - lo[2]));
-                for r in runs.row(j, k) {
-                    let run = runs.runs[r];
-                    let (s, e) = ((run.start as usize).max(lo[0]), (run.end as usize).min(hi[0]));
-                    if s < e
-                        && let Some(m) = class(r)
-                    {
-                        material[row + s - lo[0]..row + e - lo[0]].fill(m);
-                    }
-                }
-            }
-        }
-        Self {
-            lo,
-            dims,
-            affine: labels.affine.cropped(lo),
-            material,
-        }
-    }
-
-    fn mask(&self, data: &[u8], keep: impl Fn(u8) -> bool, name: &str) -> Result<VoxelMask, VolumeError> {
-        crop_mask(data, self.dims, &self.affine, CROP_MARGIN, keep).ok_or_else(|| VolumeError::Vanished {
-            body: name.to_owned(),
-            reason: "no voxel is left".to_owned(),
-        })
-    }
-}
-
-/// A ball of four samples or voxels across is the least that holds a closed smooth surface.
-fn minimum_volume(mask: &VoxelMask) -> f64 {
-    let h = default_spacing(mask.affine.spacing_mm());
-    33.5 * mask.affine.det().abs().max(h.powi(3))
-}
-
-fn check_size(name: &str, mask: &VoxelMask) -> Result<(), VolumeError> {
-    let (found, minimum) = (mask.volume_mm3(), minimum_volume(mask));
-    if found < minimum {
-        return Err(VolumeError::TooSmall {
-            organ: name.to_owned(),
-            found_mm3: found,
-            voxels: mask.voxels(),
-            minimum_mm3: minimum,
-        });
-    }
-    Ok(())
-}
-
-/// Structures with their number in the selection; those without voxels in this component are left out.
-fn build_structures(
-    crop: &Crop,
-    drawn: &[u8],
-    selection: &AnatomySelection,
-    params: &VolumeParams,
-    organ: &Body,
-    given: &[StrayReport],
-    report: &mut VolumeReport,
-) -> Result<Vec<(usize, Structure)>, VolumeError> {
-    let mut material = crop.material.clone();
-    let mut kept: Vec<usize> = Vec::new();
-    let mut masks = Vec::new();
-    for (s, region) in selection.structures.iter().enumerate() {
-        let m = s as u8 + 2;
-        let mask = crop_mask(&material, crop.dims, &crop.affine, CROP_MARGIN, |v| v == m);
-        match mask {
-            Some(mask) if mask.volume_mm3() >= minimum_volume(&mask) => {
-                kept.push(s);
-                masks.push(mask);
-            }
-            other => {
-                let volume = other.map_or(0.0, |m| m.volume_mm3());
-                report.warnings.push(format!(
-                    "structure '{}' has {volume:.1} mm³ in the chosen component: not built",
-                    region.name
-                ));
-                material.iter_mut().filter(|v| **v == m).for_each(|v| *v = 1);
-            }
-        }
-    }
-    if kept.is_empty() {
-        return Ok(Vec::new());
-    }
-    // Numbers without gaps: structure n of the anatomy is material n + 2.
-    for (n, &s) in kept.iter().enumerate() {
-        if n != s {
-            material
-                .iter_mut()
-                .filter(|v| **v == s as u8 + 2)
-                .for_each(|v| *v = n as u8 + 2);
-        }
-    }
-    let to_index = crop.affine.inverse().ok_or(VolumeError::SingularAffine {
-        matrix: crop.affine.m,
-    })?;
-    let grid = organ.field.grid();
-    let extended = extend_materials(&material, crop.dims, &crop.affine);
-    let functions = indicators(
-        &extended,
-        crop.dims,
-        &crop.affine,
-        to_index,
-        &grid,
-        kept.len(),
-        params,
-    );
-    let targets: Vec<f64> = masks.iter().map(VoxelMask::volume_mm3).collect();
-    let reach = report.voxel_mm.into_iter().fold(0.0, f64::max);
-    let dividers = dividers(functions, &organ.field, &targets, reach);
-    let mut out = Vec::new();
-    for ((s, mask), divider) in kept.into_iter().zip(masks).zip(dividers) {
-        let name = &selection.structures[s].name;
-        let field = intersection(&organ.field, &divider).ok_or_else(|| VolumeError::Vanished {
-            body: name.clone(),
-            reason: "its smooth field is nowhere inside the organ".to_owned(),
-        })?;
-        let drawn = crop.mask(drawn, |v| v == s as u8 + 2, name)?;
-        let caps = organ
-            .caps
-            .iter()
-            .filter(|cap| report_touches(&mask, cap))
-            .copied()
-            .collect::<Vec<_>>();
-        report.structures.push(BodyReport {
-            name: name.clone(),
-            drawn_mm3: drawn.volume_mm3(),
-            voxel_mm3: mask.volume_mm3(),
-            field_mm3: enclosed_volume(&field.values, &field.grid()),
-            strays: given.get(s + 2).cloned().unwrap_or_default(),
-            spacing_mm: field.spacing_mm,
-            field_dims: field.dims,
-            caps: caps.clone(),
-            ..BodyReport::default()
-        });
-        let body = Body {
-            name: name.clone(),
-            drawn,
-            voxel_volume_mm3: mask.volume_mm3(),
-            mask,
-            field,
-            interpolated: None,
-            slice_axis: report.slice_axis,
-            caps,
-        };
-        out.push((s, Structure { body, divider }));
-    }
-    Ok(out)
-}
-
-/// Whether voxels of the mask lie at the cap.
-fn report_touches(mask: &VoxelMask, cap: &crate::CapPlane) -> bool {
-    let [nx, ny, _] = mask.dims;
-    let half = 0.51
-        * (0..3)
-            .map(|a| {
-                let mut e = [0.0; 3];
-                e[a] = 1.0;
-                let v = mask.affine.apply_vector(e);
-                (0..3).map(|b| v[b] * cap.normal[b]).sum::<f64>().abs()
-            })
-            .fold(0.0, f64::max);
-    mask.data
-        .iter()
-        .enumerate()
-        .filter(|(_, v)| **v != 0)
-        .any(|(n, _)| {
-            let p = [n % nx, n / nx % ny, n / (nx * ny)].map(|v| v as f64);
-            cap.distance(mask.affine.apply(p)) > -half
-        })
-}
-
-/// max(organ, divider), cropped to the box where it is negative and a margin: a part of the organ's own grid.
-fn intersection(organ: &ScalarField, divider: &ScalarField) -> Option<ScalarField> {
-    let [nx, ny, nz] = organ.dims;
-    let (mut lo, mut hi) = ([usize::MAX; 3], [0; 3]);
-    for k in 0..nz {
-        for j in 0..ny {
-            let row = nx * (j + ny * k);
-            let inside = |i: &usize| organ.values[row + i] < 0.0 && divider.values[row + i] < 0.0;
-            let Some(first) = (0..nx).find(inside) else {
-                continue;
-            };
-            let last = (0..nx).rfind(inside).unwrap_or(first);
-            lo = [lo[0].min(first), lo[1].min(j), lo[2].min(k)];
-            hi = [hi[0].max(last + 1), hi[1].max(j + 1), hi[2].max(k + 1)];
-        }
-    }
-    if hi[0] == 0 {
-        return None;
-    }
-    let margin = (3.0 / organ.spacing_mm).ceil().max(4.0) as usize;
-    let lo = lo.map(|v| v.saturating_sub(margin));
-    let hi: [usize; 3] = std::array::from_fn(|a| (hi[a] + margin).min(organ.dims[a]));
-    let dims: [usize; 3] = std::array::from_fn(|a| hi[a] - lo[a]);
-    let mut values = Vec::with_capacity(dims.iter().product());
-    for k in lo[2]..hi[2] {
-        for j in lo[1]..hi[1] {
-            let row = nx * (j + ny * k);
-            let (a, b) = (
-                &organ.values[row + lo[0]..row + hi[0]],
-                &divider.values[row + lo[0]..row + hi[0]],
-            );
-            values.extend(a.iter().zip(b).map(|(x, y)| x.max(*y)));
-        }
-    }
-    Some(ScalarField {
-        dims,
-        origin_mm: organ.position(lo),
-        spacing_mm: organ.spacing_mm,
-        values,
-    })
-}
-
-/// Box of voxel indices (clipped to the scan) that holds everything within `margin_mm` of the organ's box.
-fn context_box(crop: [[usize; 3]; 2], labels: &LabelGrid, margin_mm: f64) -> ([usize; 3], [usize; 3]) {
-    let spacing = labels.affine.spacing_mm();
-    let m: [usize; 3] = std::array::from_fn(|a| (margin_mm / spacing[a]).ceil() as usize);
-    (
-        std::array::from_fn(|a| crop[0][a].saturating_sub(m[a])),
-        std::array::from_fn(|a| crop[1][a].saturating_add(m[a]).min(labels.dims[a])),
-    )
-}
-
-/// Voxel box of the organ's mask in the scan.
-fn organ_box(labels: &LabelGrid, organ: &Body) -> [[usize; 3]; 2] {
-    let start = labels
-        .affine
-        .inverse()
-        .map_or([0.0; 3], |t| t.apply(organ.mask.affine.apply([0.0; 3])));
-    let lo = start.map(|v| v.round().max(0.0) as usize);
-    let (a, b) =
-        crate::body::occupied(&organ.mask.data, organ.mask.dims).unwrap_or(([0; 3], organ.mask.dims));
-    [
-        std::array::from_fn(|i| lo[i] + a[i]),
-        std::array::from_fn(|i| lo[i] + b[i]),
-    ]
-}
-
 fn build_supports(
     runs: &Runs,
     labels: &LabelGrid,
@@ -643,6 +380,7 @@ fn build_supports(
             drawn,
             mask,
             report.slice_axis,
+            params.support_stray_mm3,
             params,
             &mut body_report,
             &mut report.warnings,

@@ -1,8 +1,9 @@
 //! Boundaries of structures inside the organ.
 
-use crate::body::smoothing_sigma;
+use crate::body::{SLICE_SMOOTHING, smoothing_sigma};
 use crate::distance::redistance;
 use crate::enclosed::{Cells, solve_shift};
+use crate::slices::{SliceStack, interpolate, smooth_grid};
 use crate::smooth::{Amplitudes, Grid, blur, edge_offset};
 use crate::{Affine, ScalarField, VolumeParams};
 use rayon::prelude::*;
@@ -93,8 +94,26 @@ pub(crate) fn indicators(
     to_index: Affine,
     grid: &Grid,
     structures: usize,
+    slice_axis: usize,
     params: &VolumeParams,
 ) -> Vec<Vec<f32>> {
+    if affine.spacing_mm()[slice_axis] > params.thick_slice_mm {
+        return (0..structures)
+            .map(|s| {
+                let own: Vec<u8> = extended.iter().map(|&m| u8::from(m as usize == s + 2)).collect();
+                let stack = SliceStack {
+                    dims,
+                    data: &own,
+                    affine,
+                    axis: slice_axis,
+                };
+                let mut values = interpolate(&stack, grid, &to_index, params.smoothing_voxels);
+                redistance(&mut values, grid);
+                smooth_grid(&mut values, grid.dims, SLICE_SMOOTHING);
+                values
+            })
+            .collect();
+    }
     let (sigma, sigma_mm) = smoothing_sigma(affine.spacing_mm(), params.smoothing_voxels);
     (0..structures)
         .map(|s| {

@@ -45,13 +45,13 @@ const CELL: usize = 4;
 const MIXED: u16 = u16::MAX;
 
 /// Which cells of CELL³ voxels hold one code only.
-struct Uniform {
+pub(crate) struct Uniform {
     dims: [usize; 3],
     code: Vec<u16>,
 }
 
 impl Uniform {
-    fn new(dims: [usize; 3], data: &[u8]) -> Self {
+    pub fn new(dims: [usize; 3], data: &[u8]) -> Self {
         let cells = dims.map(|d| d.div_ceil(CELL));
         let mut code = vec![0; cells.iter().product()];
         code.par_chunks_mut(cells[0] * cells[1])
@@ -80,7 +80,7 @@ impl Uniform {
     }
 
     /// The one code in voxels `lo..=hi`, if there is one (tested on whole cells).
-    fn code_in(&self, lo: [usize; 3], hi: [usize; 3]) -> Option<u8> {
+    pub fn code_in(&self, lo: [usize; 3], hi: [usize; 3]) -> Option<u8> {
         let (a, b) = (lo.map(|v| v / CELL), hi.map(|v| v / CELL));
         let at = |i, j, k| i + self.dims[0] * (j + self.dims[1] * k);
         let c = self.code[at(a[0], a[1], a[2])];
@@ -100,7 +100,7 @@ impl Uniform {
 }
 
 /// Discrete kernel (odd length) with exactly the given variance in voxels².
-fn kernel(variance: f64) -> Vec<f32> {
+pub(crate) fn kernel(variance: f64) -> Vec<f32> {
     let n = (variance / 0.4).ceil().max(1.0) as usize;
     let a = 0.5 * variance / n as f64;
     let mut k = vec![1.0];

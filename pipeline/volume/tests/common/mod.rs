@@ -208,3 +208,14 @@ pub fn field_to_mask(mask: &VoxelMask, field: &ScalarField, skip: &dyn Fn([f64; 
         .collect();
     spread(out)
 }
+
+/// |other| on the zero set of `field`.
+pub fn field_to_field(field: &ScalarField, other: &ScalarField, skip: &dyn Fn([f64; 3]) -> bool) -> Spread {
+    spread(
+        zero_points(field)
+            .into_iter()
+            .filter(|p| !skip(*p))
+            .map(|p| other.value(p))
+            .collect(),
+    )
+}
