@@ -57,7 +57,7 @@ fn shapes_have_their_numbers() {
         }
     );
     // The array's end counts as outside.
-    assert_eq!(euler(&vec![1; 27], [3, 3, 3]), 2);
+    assert_eq!(euler(&[1; 27], [3, 3, 3]), 2);
 }
 
 #[test]
