@@ -9,7 +9,7 @@ use crate::vector::{
     V3, add, add_scaled, area_normal, cross, dot, length, midpoint, norm2, quality, scale, sub,
 };
 use crate::{SurfaceError, TriMesh};
-use palpate_volume::Implicit;
+use palpate_volume::{CapPlane, Implicit};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -33,6 +33,8 @@ pub struct ImproveReport {
 /// Edge lengths are evened out where the mean quality after the first rounds is this far below the goal: the surface
 /// bends one way over wide parts (a torus), and the decimation drew its triangles out.
 const RESIZE_BELOW_GOAL: f64 = 0.04;
+/// Corners of a flat cap's faces lie within this many edge lengths of its plane.
+const CAP_WITHIN: f64 = 0.1;
 /// Times that edge lengths are evened out then.
 const RESIZE_ROUNDS: usize = 3;
 
@@ -47,12 +49,20 @@ pub(crate) struct Improver<'a, F: ?Sized> {
     edge_mm: f64,
     origin: V3,
     guard: CrossingGuard,
+    anchors: Anchors,
     pub report: ImproveReport,
 }
 
 impl<'a, F: Implicit + ?Sized> Improver<'a, F> {
-    /// With `guard_all` every change is tested for crossings, otherwise those near a second sheet.
-    pub fn new(mesh: HalfEdges, field: &'a F, params: &'a ImproveParams, guard_all: bool) -> Self {
+    /// With `guard_all` every change is tested for crossings, otherwise those near a second sheet. Faces on `caps` stay
+    /// in their planes.
+    pub fn new(
+        mesh: HalfEdges,
+        field: &'a F,
+        caps: &[CapPlane],
+        params: &'a ImproveParams,
+        guard_all: bool,
+    ) -> Self {
         let area: f64 = mesh.faces().map(|f| 0.5 * length(mesh.face_area_normal(f))).sum();
         let edge_mm = triangle_edge(area, mesh.live_faces);
         let (lo, hi) = bounds(&mesh.pos);
@@ -61,6 +71,7 @@ impl<'a, F: Implicit + ?Sized> Improver<'a, F> {
         } else {
             CrossingGuard::near_sheets(&mesh, edge_mm, field, GUARD_REACH * edge_mm)
         };
+        let anchors = Anchors::new(&mesh, caps, CAP_WITHIN * edge_mm);
         let guarded_vertices = guard.marked().unwrap_or_else(|| mesh.vertices().count());
         let report = ImproveReport {
             guarded_vertices,
@@ -73,6 +84,7 @@ impl<'a, F: Implicit + ?Sized> Improver<'a, F> {
             edge_mm,
             origin: midpoint(lo, hi),
             guard,
+            anchors,
             report,
         }
     }
@@ -117,7 +129,8 @@ impl<'a, F: Implicit + ?Sized> Improver<'a, F> {
             if self.repair_worst() == 0 {
                 break;
             }
-            self.settle_sweep(self.params.pull, false);
+            let relax = self.mean_quality() < self.params.goal_mean_quality;
+            self.settle_sweep(pull, relax);
         }
     }
 
@@ -175,7 +188,7 @@ impl<'a, F: Implicit + ?Sized> Improver<'a, F> {
         } else {
             1.1 * old + 0.1 * tolerance
         };
-        (new <= allowed && m.may_flip(h)).then_some(gain)
+        (new <= allowed && m.may_flip(h) && self.anchors.may_change(m, h)).then_some(gain)
     }
 
     /// Mean squared distance to the zero set of the middle of an edge and the centres of its two triangles.
@@ -233,6 +246,7 @@ impl<'a, F: Implicit + ?Sized> Improver<'a, F> {
     /// Moves `v` to `p` unless a triangle would turn, become worse than both its worst neighbour and `floor`, or
     /// cross another.
     fn try_move(&mut self, v: u32, p: V3, floor: f64) -> bool {
+        let p = self.anchors.allowed(&self.mesh, v, p);
         let m = &self.mesh;
         let mut before = f64::INFINITY;
         let mut after = f64::INFINITY;
@@ -405,8 +419,10 @@ fn solve_symmetric(a: [f64; 6], b: V3) -> V3 {
     [(y0 - l10 * y - l20 * z) / l00, y, z]
 }
 
+mod anchor;
 mod repair;
 mod resize;
+use anchor::Anchors;
 pub(crate) use repair::min_angle;
 
 /// Improves a closed 2-manifold surface near the zero set of `field`: edge flips, tangential relaxation, repair of the
@@ -421,7 +437,7 @@ pub fn improve(
     params: &ImproveParams,
 ) -> Result<(TriMesh, ImproveReport), SurfaceError> {
     params.check()?;
-    let mut improver = Improver::new(HalfEdges::from_mesh(mesh)?, field, params, true);
+    let mut improver = Improver::new(HalfEdges::from_mesh(mesh)?, field, &[], params, true);
     improver.run();
     Ok(improver.finish())
 }

@@ -76,10 +76,10 @@ pub struct SurfaceReport {
     pub symmetric_p99_mm: f64,
     /// Larger of both ways.
     pub hausdorff_mm: f64,
-    /// The parts near the rims of flat caps, both ways, left out above.
-    pub cap_rim_to_iso_surface: DistanceStats,
-    /// From the iso-surface near the rims of flat caps to the result.
-    pub cap_rim_from_iso_surface: DistanceStats,
+    /// From the result within two samples of a flat cap's plane to the iso-surface: left out above.
+    pub cap_to_iso_surface: DistanceStats,
+    /// From the iso-surface there to the result.
+    pub cap_from_iso_surface: DistanceStats,
 }
 
 /// Makes the collision surface of one body: iso-surface → HC Laplacian → quadric edge collapse → improvement.
@@ -128,11 +128,19 @@ pub fn build_surface(
     let half_edges = HalfEdges::from_mesh(&smooth)?;
     drop(smooth);
 
-    let mut built = build_guarded(field, half_edges.clone(), area_mm2, params, false, &mut report)?;
+    let mut built = build_guarded(
+        field,
+        caps,
+        half_edges.clone(),
+        area_mm2,
+        params,
+        false,
+        &mut report,
+    )?;
     let mut crossings = self_intersections(&built, MAX_CROSSINGS)?;
     if !crossings.is_empty() {
         report.redone_with_all_guards = true;
-        built = build_guarded(field, half_edges, area_mm2, params, true, &mut report)?;
+        built = build_guarded(field, caps, half_edges, area_mm2, params, true, &mut report)?;
         crossings = self_intersections(&built, MAX_CROSSINGS)?;
     }
     report.self_intersections = crossings.len();
@@ -185,6 +193,7 @@ fn area_mm2(mesh: &TriMesh) -> f64 {
 /// sheet.
 fn build_guarded(
     field: &ScalarField,
+    caps: &[CapPlane],
     mesh: HalfEdges,
     area_mm2: f64,
     params: &SurfaceParams,
@@ -201,7 +210,7 @@ fn build_guarded(
     let (mesh, decimated) = decimate_half_edges(mesh, &decimate, (!guard_all).then_some(field))?;
     report.decimate = decimated;
     report.add_step("decimated", &mesh.to_mesh());
-    let mut improver = Improver::new(mesh, field, &params.improve, guard_all);
+    let mut improver = Improver::new(mesh, field, caps, &params.improve, guard_all);
     improver.run();
     if params.improve.rounds > 0 {
         improver.match_volume(report.reference_volume_mm3);
@@ -287,8 +296,8 @@ fn measure(
     let from = one_way_distance(iso, &TriangleBvh::build(mesh)?, params.distance_samples, near_cap)?;
     report.to_iso_surface = to.measured;
     report.from_iso_surface = from.measured;
-    report.cap_rim_to_iso_surface = to.exempt;
-    report.cap_rim_from_iso_surface = from.exempt;
+    report.cap_to_iso_surface = to.exempt;
+    report.cap_from_iso_surface = from.exempt;
     let (a, b) = (to.measured, from.measured);
     report.symmetric_rms_mm = (0.5 * (a.rms_mm * a.rms_mm + b.rms_mm * b.rms_mm)).sqrt();
     report.symmetric_p99_mm = a.p99_mm.max(b.p99_mm);

@@ -1,8 +1,10 @@
 //! The whole stage on analytic bodies.
 
 use palpate_fixtures::shapes;
-use palpate_surface::{SurfaceError, SurfaceParams, build_surface, self_intersections, validate};
-use palpate_volume::{Implicit, ScalarField};
+use palpate_surface::{
+    SurfaceError, SurfaceParams, build_surface, self_intersections, triangle_area_mm2, validate,
+};
+use palpate_volume::{CapPlane, Implicit, ScalarField};
 
 fn build(shape: &dyn Implicit, spacing: f64, volume: f64, faces: usize) -> palpate_surface::SurfaceReport {
     let field = ScalarField::sample(shape, spacing, 3);
@@ -97,4 +99,54 @@ fn same_bytes_on_any_number_of_threads() {
         pool.install(|| build_surface(&field, &[], volume, &params).unwrap())
     };
     assert_eq!(on(1), on(3));
+}
+
+#[test]
+fn a_flat_cap_stays_flat_with_a_sharp_rim() {
+    let ball = shapes::ball([0.0; 3], 20.0);
+    let cut = shapes::Shape {
+        value: |p: [f64; 3]| ball.value(p).max(p[2] - 5.0),
+        lo: [-20.0; 3],
+        hi: [20.0, 20.0, 5.0],
+    };
+    let pi = std::f64::consts::PI;
+    // The ball less the segment of height 15 above the plane.
+    let volume = 4.0 / 3.0 * pi * 8000.0 - pi * 225.0 * (60.0 - 15.0) / 3.0;
+    let field = ScalarField::sample(&cut, 0.8, 3);
+    let caps = [CapPlane {
+        point_mm: [0.0, 0.0, 5.0],
+        normal: [0.0, 0.0, 1.0],
+    }];
+    let params = SurfaceParams {
+        target_faces: 2000,
+        ..Default::default()
+    };
+    let (mesh, report) = build_surface(&field, &caps, volume, &params).unwrap();
+    let on_plane = |t: &[u32; 3]| {
+        t.iter()
+            .all(|v| (mesh.vertices[*v as usize][2] - 5.0).abs() < 1e-9)
+    };
+    let area: f64 = mesh
+        .triangles
+        .iter()
+        .filter(|t| on_plane(t))
+        .map(|t| triangle_area_mm2(&t.map(|v| mesh.vertices[v as usize])))
+        .sum();
+    assert!(
+        (area / (375.0 * pi) - 1.0).abs() < 0.03,
+        "{area} of {}",
+        375.0 * pi
+    );
+    assert!(
+        mesh.vertices.iter().all(|v| v[2] < 5.3),
+        "nothing bulges out of the scan"
+    );
+    assert!(
+        report.min_angle_deg >= 15.0 && report.mean_quality >= 0.9,
+        "{report:#?}"
+    );
+    assert!(
+        report.cap_to_iso_surface.samples > 0 && report.symmetric_rms_mm < 0.05,
+        "{report:#?}"
+    );
 }

@@ -101,7 +101,7 @@ impl<F: Implicit + ?Sized> Improver<'_, F> {
             for k in 0..8 {
                 let (sin, cos) = (std::f64::consts::FRAC_PI_4 * k as f64).sin_cos();
                 let p = add_scaled(add_scaled(best.1, step * cos, u), step * sin, w);
-                let p = self.to_level(p, level);
+                let p = self.anchors.allowed(&self.mesh, v, self.to_level(p, level));
                 let angle = self.fan_angle(v, p);
                 if angle > best.0 + 1e-4 {
                     best = (angle, p);

@@ -176,7 +176,7 @@ impl<F: Implicit + ?Sized> Improver<'_, F> {
 
     /// Merges the ends of `h` at `p` unless the topology would change or triangles cross.
     pub(super) fn collapse(&mut self, h: u32, p: V3) -> bool {
-        if !self.mesh.may_collapse(h) {
+        if !self.anchors.may_merge(&self.mesh, h) || !self.mesh.may_collapse(h) {
             return false;
         }
         let m = &self.mesh;
@@ -219,10 +219,11 @@ impl<F: Implicit + ?Sized> Improver<'_, F> {
             let (x, y) = (area_normal(q[0], q[1], q[2]), m.face_area_normal(g / 3));
             dot(x, y) < 0.5 * (norm2(x) * norm2(y)).sqrt()
         });
-        if turned || self.guard.crosses(&[h / 3, t / 3], &new) {
+        if turned || !self.anchors.may_change(m, h) || self.guard.crosses(&[h / 3, t / 3], &new) {
             return false;
         }
         let first = (self.mesh.org.len() / 3) as u32;
+        self.anchors.split(&self.mesh, h);
         self.mesh.split(h, p);
         self.guard.push(&[a, b, c, d]);
         self.guard.update(&self.mesh, [h / 3, t / 3, first, first + 1]);
