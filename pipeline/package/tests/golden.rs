@@ -22,7 +22,11 @@ fn current_models_give_the_golden_bytes() {
     for (name, model) in [("small", common::small_model()), ("bare", common::bare_model())] {
         let path = folder().join(format!("{name}-schema{SCHEMA}.palpate"));
         let (bytes, _) = model.to_bytes().unwrap();
-        if asked("PALPATE_UPDATE_GOLDEN") || (asked("PALPATE_ADD_GOLDEN") && !path.exists()) {
+        if asked(if path.exists() {
+            "PALPATE_UPDATE_GOLDEN"
+        } else {
+            "PALPATE_ADD_GOLDEN"
+        }) {
             model.write(&path).unwrap();
         }
         let golden = std::fs::read(&path).unwrap();
