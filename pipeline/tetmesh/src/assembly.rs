@@ -18,6 +18,8 @@ pub(crate) struct Plan<'a> {
     /// Dividers that get faces of their own.
     pub conforming: &'a [bool],
     pub rule: WarpRule,
+    /// Whether the interior is coarser.
+    pub graded: bool,
 }
 
 /// Levels of the fields that are stuffed, mm.
@@ -81,7 +83,12 @@ impl Plan<'_> {
             outer: &outer,
             dividers: &dividers,
         };
-        let (mut complex, stuffed) = stuff(&outer, lattice.clone(), &self.rule)?;
+        let kept: Vec<&dyn Implicit> = (0..dividers.len())
+            .filter(|&n| self.conforming[n])
+            .map(|n| dividers[n])
+            .collect();
+        let graded = self.graded.then_some(kept.as_slice());
+        let (mut complex, stuffed) = stuff(&outer, lattice.clone(), &self.rule, graded)?;
         let (regions, cut) = cut_dividers(
             &mut complex,
             &lattice,

@@ -4,7 +4,9 @@ use crate::TetError;
 use crate::faces::{Components, FaceTable, non_manifold};
 use crate::geometry::{cross, dot, volume6};
 use crate::lattice::Lattice;
-use crate::stuffing::{Complex, Samples, Source, StuffCounts, WarpRule, Warped, cut_inside, warp};
+use crate::stuffing::{
+    Complex, Samples, Source, StuffCounts, WarpRule, Warped, cut_inside, interior_octree, warp,
+};
 use palpate_volume::Implicit;
 use rustc_hash::{FxHashMap, FxHashSet};
 
@@ -79,11 +81,12 @@ fn compact(complex: &mut Complex) {
 ///
 /// Where sheets of the boundary touch along an edge or at a point (within one cell of each other), the sign of the
 /// lattice point there whose value is nearest to 0 is changed, and the warp and the cuts are redone. Small cavities
-/// are filled in the same way.
+/// are filled in the same way. `graded`: make the interior coarser, but not near these dividers.
 pub(crate) fn stuff(
     f: &dyn Implicit,
     lattice: Lattice,
     rule: &WarpRule,
+    graded: Option<&[&dyn Implicit]>,
 ) -> Result<(Complex, StuffCounts), TetError> {
     let mut samples = Samples::new(f, lattice, rule.linear)?;
     let mut edited: FxHashSet<u32> = FxHashSet::default();
@@ -92,7 +95,8 @@ pub(crate) fn stuff(
     let edge_mm = samples.lattice.edge_mm;
     for round in 0..=MEND_ROUNDS {
         let warped = warp(&samples, rule);
-        let (mut complex, mut counts) = cut_inside(&samples, &warped, &keep);
+        let octree = graded.map(|dividers| interior_octree(&samples, &warped, dividers));
+        let (mut complex, mut counts) = cut_inside(&samples, &warped, &keep, octree.as_ref());
         if complex.tets.is_empty() {
             return Err(TetError::Empty { edge_mm });
         }

@@ -19,8 +19,8 @@ pub struct PatternReport {
 
 impl PatternReport {
     /// An empty entry per stencil. The ordered rule has one bound for all stencils.
-    pub(crate) fn empty(ordered: bool) -> Vec<Self> {
-        PATTERNS
+    pub(crate) fn empty(ordered: bool, graded: bool) -> Vec<Self> {
+        let mut out: Vec<Self> = PATTERNS
             .iter()
             .zip(PATTERN_BOUNDS_DEG)
             .map(|(p, b)| Self {
@@ -34,7 +34,17 @@ impl PatternReport {
                 },
                 violations: 0,
             })
-            .collect()
+            .collect();
+        if graded {
+            out.push(Self {
+                pattern: "graded".into(),
+                tets: 0,
+                dihedral_deg: None,
+                bound_deg: [45.0, 120.0],
+                violations: 0,
+            });
+        }
+        out
     }
 
     /// Counts a tet with these angles.

@@ -37,6 +37,9 @@ pub(crate) const PATTERNS: [(&str, usize, usize); 10] = [
 /// Pattern of a tet with all corners on one surface: flat ones occur, no bound holds.
 pub(crate) const ZZZZ: u8 = 254;
 
+/// Pattern of a tet of the graded interior: after those of [`PATTERNS`], with angles within 45°–120°.
+pub(crate) const GRADED: u8 = PATTERNS.len() as u8;
+
 /// Index into [`PATTERNS`].
 pub(crate) fn pattern_index(own: usize, other: usize) -> usize {
     PATTERNS

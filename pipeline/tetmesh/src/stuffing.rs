@@ -2,8 +2,9 @@
 
 use crate::TetError;
 use crate::geometry::lerp;
+use crate::graded::Octree;
 use crate::lattice::{LONG, Lattice, NEIGHBOURS};
-use crate::stencil::{Cutter, PATTERNS, ZZZZ, cut_tet, lattice_diagonal, pattern_index};
+use crate::stencil::{Cutter, GRADED, PATTERNS, ZZZZ, cut_tet, lattice_diagonal, pattern_index};
 use palpate_volume::Implicit;
 use rayon::prelude::*;
 use rustc_hash::{FxHashMap, FxHashSet};
@@ -431,6 +432,7 @@ pub(crate) fn cut_inside(
     samples: &Samples,
     warped: &Warped,
     keep: &FxHashSet<[u32; 4]>,
+    octree: Option<&Octree>,
 ) -> (Complex, StuffCounts) {
     let mut to = Inside {
         samples,
@@ -444,6 +446,9 @@ pub(crate) fn cut_inside(
         },
     };
     samples.lattice.for_each_tet(|v| {
+        if octree.is_some_and(|o| v.iter().any(|&id| o.is_coarse(samples.lattice.triple(id)))) {
+            return;
+        }
         let s = v.map(|id| warped.signs[id as usize]);
         if s.iter().any(|&x| x < 0) {
             cut_tet(v, s, &mut to);
@@ -459,7 +464,56 @@ pub(crate) fn cut_inside(
             }
         }
     });
+    if let Some(octree) = octree {
+        octree.for_each_coarse_tet(|t| {
+            // Leaves that grew lie inside of the lattice's box with all that they touch.
+            if let [Some(a), Some(b), Some(c), Some(d)] = t.map(|t| samples.lattice.id(t)) {
+                let t = [a, b, c, d].map(|id| to.node(id));
+                to.complex.tets.push(t);
+                to.complex.patterns.push(GRADED);
+            }
+        });
+    }
     (to.complex, to.counts)
+}
+
+/// The octree whose coarse leaves hold neither a cut nor a moved point, and keep clear of the dividers.
+pub(crate) fn interior_octree<'a>(
+    samples: &'a Samples,
+    warped: &Warped,
+    dividers: &[&dyn Implicit],
+) -> Octree<'a> {
+    let lattice = &samples.lattice;
+    // Which dividers hold a point; `None` where it is not plainly inside the organ or near a divider.
+    let side: Vec<Option<u64>> = (0..lattice.len() as u32)
+        .into_par_iter()
+        .with_min_len(512)
+        .map(|id| {
+            if warped.signs[id as usize] >= 0 || !lattice.is_point(id) {
+                return None;
+            }
+            let p = samples.position(id);
+            let mut inside = 0u64;
+            for (n, d) in dividers.iter().enumerate() {
+                let v = d.value(p);
+                if v.is_nan() || v.abs() < 0.9 * lattice.edge_mm {
+                    return None;
+                }
+                inside |= u64::from(v < 0.0) << n;
+            }
+            Some(inside)
+        })
+        .collect();
+    Octree::new(lattice, |c| {
+        let centre: [i32; 3] = std::array::from_fn(|a| lattice.lo[a] + 2 * c[a] as i32 + 1);
+        let at = |d: [i32; 3]| {
+            lattice
+                .id(std::array::from_fn(|a| centre[a] + d[a]))
+                .and_then(|id| side[id as usize])
+        };
+        let own = at([0; 3]);
+        own.is_some() && NEIGHBOURS.iter().all(|&d| at(d) == own)
+    })
 }
 
 #[cfg(test)]

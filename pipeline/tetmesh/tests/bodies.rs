@@ -133,6 +133,52 @@ fn structures_that_touch_share_faces() {
     assert_eq!(between, [[0, 1], [0, 2], [1, 2]]);
 }
 
+#[test]
+fn graded_interior_is_coarser_and_conforms() {
+    let kidney = shapes::kidney([3.0, -7.0, 11.0]);
+    let (lo, hi) = kidney.bounds();
+    let ball = shapes::ball([6.0, -6.0, 30.0], 9.0);
+    let tumour = shapes::Shape {
+        value: |p| ball.value(p),
+        lo,
+        hi,
+    };
+    let whole = counted(lo, hi, |p| kidney.value(p) < 0.0);
+    let volumes = [whole, 4.0 / 3.0 * std::f64::consts::PI * 729.0];
+    let params = FemParams {
+        graded: true,
+        edge_mm: Some(2.8),
+        lattice_shifts: 1,
+        ..FemParams::default()
+    };
+    let (_, report) = build_fem(&kidney, &[&tumour], &volumes, &params).unwrap();
+    assert_eq!(report.topology.fault(), None);
+    assert!(
+        report.patterns.iter().all(|p| p.violations == 0),
+        "{:?}",
+        report.patterns
+    );
+    assert!(report.after.min_dihedral_deg > 22.0 && report.after.max_dihedral_deg < 130.0);
+    assert!(
+        report
+            .regions
+            .iter()
+            .all(|r| r.error_percent.unwrap().abs() < 0.5 && r.components == 1)
+    );
+    assert!(report.topology.interfaces.iter().all(|i| i.open_edges == 0));
+    let coarse = report.patterns.last().unwrap();
+    assert!(
+        coarse.pattern == "graded" && coarse.tets > 500 && coarse.violations == 0,
+        "{coarse:?}"
+    );
+    let uniform = 12.0 * whole / report.edge_mm.powi(3);
+    println!(
+        "edge {:.2}: {} tets instead of {uniform:.0}",
+        report.edge_mm, report.tets
+    );
+    assert!((report.tets as f64) < 0.8 * uniform);
+}
+
 fn ball_value(p: [f64; 3], c: [f64; 3]) -> f64 {
     (0..3).map(|a| (p[a] - c[a]).powi(2)).sum::<f64>().sqrt() - 15.0
 }

@@ -98,7 +98,7 @@ fn ball_matches_the_table() {
             2074,
         ),
     ] {
-        let (c, counts) = stuff(&ball, lattice(&ball, h, [0.0; 3]), &rule).unwrap();
+        let (c, counts) = stuff(&ball, lattice(&ball, h, [0.0; 3]), &rule, None).unwrap();
         let boundary = FaceTable::new(&c.tets, c.points.len(), |_| true).boundary(&c.tets);
         let a: f64 = boundary
             .iter()
@@ -141,7 +141,7 @@ fn noise_conforms_and_never_inverts() {
         let l = lattice(&noise, 1.0, [0.0; 3]);
         let samples = Samples::new(&noise, l, true).unwrap();
         for rule in [WarpRule::ARBITRARY, WarpRule::ORDERED] {
-            let (c, counts) = cut_inside(&samples, &warp(&samples, &rule), &FxHashSet::default());
+            let (c, counts) = cut_inside(&samples, &warp(&samples, &rule), &FxHashSet::default(), None);
             let mesh = crate::TetMesh {
                 vertices: c.points.clone(),
                 tets: c.tets.clone(),
@@ -171,7 +171,7 @@ fn noise_conforms_and_never_inverts() {
 fn noise_is_mended_to_one_manifold_body() {
     for seed in 1..=4 {
         let noise = Noise(seed);
-        let (c, counts) = stuff(&noise, lattice(&noise, 1.0, [0.0; 3]), &WarpRule::ARBITRARY).unwrap();
+        let (c, counts) = stuff(&noise, lattice(&noise, 1.0, [0.0; 3]), &WarpRule::ARBITRARY, None).unwrap();
         let mesh = crate::TetMesh {
             vertices: c.points,
             tets: c.tets,
@@ -191,7 +191,7 @@ fn noise_is_mended_to_one_manifold_body() {
 fn whole_cells_translate_the_mesh_and_half_cells_still_conform() {
     let at = |d: f64| Ball([0.13 + d, 0.21 + d, -0.17 + d], 3.3);
     let make = |d: f64| {
-        stuff(&at(d), lattice(&at(d), 0.5, [0.0; 3]), &WarpRule::ARBITRARY)
+        stuff(&at(d), lattice(&at(d), 0.5, [0.0; 3]), &WarpRule::ARBITRARY, None)
             .unwrap()
             .0
     };
