@@ -10,6 +10,8 @@ dihedral angles, volume error against the surface, and whether the boundary is c
 """
 import argparse
 import multiprocessing
+import os
+import tempfile
 import time
 
 import measures
@@ -49,6 +51,8 @@ TOOLS = {"tetgen": by_tetgen, "tetgen-meshfix": by_tetgen_after_meshfix, "ftetwi
 
 
 def run(tool, points, faces, tets, out):
+    # TetGen and fTetWild leave files in the working folder.
+    os.chdir(tempfile.mkdtemp())
     work = TOOLS[tool](points, faces, tets)
     wall, user = time.perf_counter(), time.process_time()
     nodes, cells = work()
