@@ -102,7 +102,7 @@ pub struct BuildArgs {
     /// Points to skin: CSV of name,x,y,z in patient RAS mm.
     #[arg(long, value_name = "CSV", help_heading = "What to build")]
     pub fiducials: Option<PathBuf>,
-    /// Faces of each collision surface, at most.
+    /// Faces of each collision surface, at most (default 5000; more for bodies several times a kidney's size).
     #[arg(long, value_name = "N", help_heading = "Resolution")]
     pub faces: Option<usize>,
     /// Particle spacing in mm (the paper's particle radius).

@@ -116,6 +116,8 @@ impl Recipe {
         };
         if let Some(n) = count("--faces", args.faces, 100)? {
             recipe.surface.target_faces = n;
+            // Asked for by number: no more than that, however large the body.
+            recipe.surface.largest_mean_face_mm2 = 0.0;
         }
         if let Some(r) = positive("--radius", args.radius)? {
             recipe.particles.radius_mm = r;

@@ -124,7 +124,11 @@ pub fn build_surface(
     let area_mm2 = area_mm2(&smooth);
     let finest_mm = params.finest_edge_samples * field.spacing_mm;
     let most = (area_mm2 / (0.25 * 3f64.sqrt() * finest_mm * finest_mm)) as usize;
-    report.target_faces = params.target_faces.min(most).max(MIN_FACES);
+    let least = match params.largest_mean_face_mm2 {
+        0.0 => 0,
+        largest => (area_mm2 / largest) as usize,
+    };
+    report.target_faces = params.target_faces.max(least).min(most).max(MIN_FACES);
     let half_edges = HalfEdges::from_mesh(&smooth)?;
     drop(smooth);
 
