@@ -1,4 +1,4 @@
-use crate::compare::{BodyComparison, compare};
+use crate::compare::{BodyComparison, compare, surface_to_fem};
 use crate::fiducials::Fiducials;
 use crate::stage::StageRecord;
 use crate::{Inputs, Progress, Recipe, rows};
@@ -122,6 +122,14 @@ pub fn build(inputs: &Inputs, recipe: &Recipe, progress: &Progress) -> anyhow::R
     let (mut left, mut right) = (left?, right?);
     stages.append(&mut left.stages);
     stages.append(&mut right.stages);
+
+    let clock = Instant::now();
+    let cover = surface_to_fem(&left.surfaces[0].1, &right.fem)?;
+    stages.push(rows::cover(
+        &cover,
+        right.fem_report.edge_mm,
+        clock.elapsed().as_secs_f64(),
+    )?);
 
     progress.stage("skinning");
     let clock = Instant::now();

@@ -1,7 +1,8 @@
 use palpate_surface::{
     DistanceStats, SliceContourStats, TriMesh, TriangleBvh, contour_mask, field_to_mesh, mesh_to_field,
-    slice_contour_rms, surface_distance_exempting,
+    nowhere, one_way_distance, slice_contour_rms, surface_distance_exempting,
 };
+use palpate_tetmesh::TetMesh;
 use palpate_volume::{Body, CapPlane, VoxelMask};
 use serde::{Deserialize, Serialize};
 
@@ -52,6 +53,19 @@ pub fn compare(body: &Body, mesh: &TriMesh) -> anyhow::Result<BodyComparison> {
         out.on_slices = Some(slice_contour_rms(mesh, &body.mask, body.slice_axis)?);
     }
     Ok(out)
+}
+
+/// Distance from the organ's collision surface to the boundary of its FEM mesh: large where coarse tets close over a
+/// cleft that the surface follows, or leave out a thin part.
+///
+/// # Errors
+/// Meshes that cannot be measured: internal faults.
+pub fn surface_to_fem(organ: &TriMesh, fem: &TetMesh) -> anyhow::Result<DistanceStats> {
+    let boundary = TriMesh {
+        vertices: fem.vertices.clone(),
+        triangles: fem.boundary_faces(),
+    };
+    Ok(one_way_distance(organ, &TriangleBvh::build(&boundary)?, SAMPLES, &nowhere)?.measured)
 }
 
 /// Largest voxel edge, mm.

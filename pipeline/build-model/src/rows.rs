@@ -5,7 +5,7 @@ use crate::compare::BodyComparison;
 use crate::stage::StageRecord;
 use palpate_particles::ParticleReport;
 use palpate_skinning::SkinReport;
-use palpate_surface::SurfaceReport;
+use palpate_surface::{DistanceStats, SurfaceReport};
 use palpate_tetmesh::{EmbeddingReport, FemReport, StructureMode};
 use palpate_volume::{BodyReport, CtPlacement, CtVolume, LabelVolume, ReadReport, VolumeReport};
 use serde::Serialize;
@@ -324,6 +324,21 @@ pub(crate) fn fem(f: &FemReport, names: &[&str], seconds: f64) -> anyhow::Result
         );
     }
     Ok(r)
+}
+
+pub(crate) fn cover(d: &DistanceStats, edge_mm: f64, seconds: f64) -> anyhow::Result<StageRecord> {
+    Ok(record("fem-cover", seconds, d)?
+        .row(
+            "surface to FEM",
+            format!("RMS {:.3} mm, p99 {:.2} mm, largest {:.2} mm", d.rms_mm, d.p99_mm, d.max_mm),
+        )
+        .warn_if(d.max_mm > edge_mm, || {
+            format!(
+                "somewhere the FEM boundary lies {:.1} mm from the collision surface: tets of {edge_mm:.1} mm close over a \
+                 cleft or leave out a thin part; a smaller --fem-edge follows it",
+                d.max_mm
+            )
+        }))
 }
 
 pub(crate) fn embedding(e: &EmbeddingReport, seconds: f64) -> anyhow::Result<StageRecord> {

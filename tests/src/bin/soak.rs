@@ -170,7 +170,7 @@ fn run() -> anyhow::Result<bool> {
     );
     println!(
         "| case | s | peak MB | read | volume | surface | distances | particles | fem | tets | dihedral ° (stuffed) | \
-         region volumes % | interface RMS, edges | particles / clusters |\n|---|---|---|---|---|---|---|---|---|---|---|---|---|---|\n{times}"
+         region volumes % | interface RMS, edges | surface to FEM RMS / p99 mm | particles / clusters |\n|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|\n{times}"
     );
     for f in &faults {
         println!("FAULT {f}");
@@ -302,7 +302,7 @@ fn time_row(case: &str, v: &Value) -> String {
     };
     let p = &stage(v, "particles")["report"];
     format!(
-        "| {case} | {:.2} | {:.0} | {} | {} | {} | {} | {} | {} | {} | {:.1}–{:.1} ({:.1}–{:.1}) | {} | {} | {} / {} |\n",
+        "| {case} | {:.2} | {:.0} | {} | {} | {} | {} | {} | {} | {} | {:.1}–{:.1} ({:.1}–{:.1}) | {} | {} | {:.2} / {:.1} | {} / {} |\n",
         num(&v["seconds"]),
         num(&v["peak_mb"]),
         t("read"),
@@ -318,6 +318,8 @@ fn time_row(case: &str, v: &Value) -> String {
         num(&f["before"]["max_dihedral_deg"]),
         list("regions", "error_percent"),
         list("interfaces", "rms_edges"),
+        num(&stage(v, "fem-cover")["report"]["rms_mm"]),
+        num(&stage(v, "fem-cover")["report"]["p99_mm"]),
         p["particles"],
         p["clusters"],
     )
