@@ -1,5 +1,6 @@
 use crate::compare::{BodyComparison, compare, surface_to_fem};
 use crate::fiducials::Fiducials;
+use crate::report::{ReportInput, StageRow, write_report};
 use crate::stage::StageRecord;
 use crate::{Inputs, Progress, Recipe, rows};
 use anyhow::Context;
@@ -473,6 +474,46 @@ fn digest(role: &str, path: &Path) -> anyhow::Result<package::InputDigest> {
 }
 
 impl Built {
+    /// Writes the page with pictures into `dir`.
+    ///
+    /// # Errors
+    /// A folder or file that cannot be written.
+    pub fn write_report(&self, dir: &Path) -> anyhow::Result<()> {
+        let stages: Vec<StageRow> = self
+            .stages
+            .iter()
+            .map(|s| StageRow {
+                name: s.name.clone(),
+                seconds: s.seconds,
+                rows: s.rows.clone(),
+                warnings: s.warnings.clone(),
+            })
+            .collect();
+        let scan = Path::new(&self.scan)
+            .file_name()
+            .unwrap_or_default()
+            .to_string_lossy();
+        write_report(
+            dir,
+            &ReportInput {
+                scan: &scan,
+                recipe: &self.recipe.to_toml()?,
+                remark: None,
+                anatomy: &self.anatomy,
+                ct: self.ct.as_ref(),
+                surfaces: &self.surfaces,
+                particles: &self.particles,
+                clusters: &self.clusters,
+                fem: &self.fem,
+                embedding: &self.embedding,
+                dihedral_before: &self.fem_report.before.dihedral_histogram,
+                dihedral_after: &self.fem_report.after.dihedral_histogram,
+                stages: &stages,
+            },
+        )?;
+        Ok(())
+    }
+
     /// Runs `work` on the finished build and records its time as a stage.
     ///
     /// # Errors

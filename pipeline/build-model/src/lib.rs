@@ -7,9 +7,12 @@
 pub mod args;
 mod build;
 mod compare;
+/// Software rasteriser of the report's pictures.
+pub mod draw;
 mod fiducials;
 mod progress;
 mod recipe;
+pub mod report;
 mod rows;
 mod stage;
 /// What a build prints.

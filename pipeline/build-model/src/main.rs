@@ -105,7 +105,7 @@ fn run_build(args: BuildArgs) -> anyhow::Result<()> {
     let mut built = build(&inputs, &recipe, &progress)?;
     if let Some(dir) = &args.report {
         progress.stage("report");
-        let _ = dir;
+        built.timed("report", |b| b.write_report(dir))?;
     }
     progress.stage("write");
     let written = built.timed("write", |b| b.package.write(&output))?;
