@@ -282,10 +282,11 @@ impl Canvas {
         }
     }
 
-    /// Lays a canvas of the same camera over this one where it is nearer, by its opacity.
-    pub fn over(&mut self, layer: &Self) {
+    /// Lays a canvas of the same camera over this one where it is nearer by more than `bias_mm`, by its opacity. The
+    /// bias settles surfaces that coincide: what is below then shows unveiled.
+    pub fn over(&mut self, layer: &Self, bias_mm: f32) {
         for (s, l) in self.samples.iter_mut().zip(&layer.samples) {
-            if l.height > s.height {
+            if l.height > s.height + bias_mm {
                 s.colour = mix(s.colour, l.colour, l.opacity);
             }
         }
@@ -425,7 +426,7 @@ mod tests {
                 edges: None,
             },
         );
-        canvas.over(&layer);
+        canvas.over(&layer, 0.0);
         let p = canvas.finish().get(40, 44);
         assert!(p[0] > 0.25 && p[2] > 0.4, "{p:?}");
     }

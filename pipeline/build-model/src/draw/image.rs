@@ -143,7 +143,7 @@ mod tests {
             let mut image = Image::new(64, 64, [0.0; 3]);
             image.line(a, b, 3.0, [1.0; 3], 1.0);
             let ink: f64 = image.pixels.iter().map(|p| f64::from(p[0])).sum();
-            let length = (a[0] - b[0] as f64).hypot(a[1] - b[1]);
+            let length = f64::hypot(a[0] - b[0], a[1] - b[1]);
             // Body and two round ends.
             let expected = 3.0 * length + std::f64::consts::PI * 2.25;
             assert!((ink / expected - 1.0).abs() < 0.06, "{ink} {expected}");

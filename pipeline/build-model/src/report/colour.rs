@@ -14,9 +14,9 @@ const REGIONS: [Rgb; 7] = [
 /// Static colliders.
 pub const SUPPORT: Rgb = rgb(0x9AA0A6);
 /// Outline of a collision surface in a slice.
-pub const SURFACE_LINE: Rgb = rgb(0x56B4E9);
+pub const SURFACE_LINE: Rgb = rgb(0x2F8FEF);
 /// Outline of the FEM mesh in a slice.
-pub const FEM_LINE: Rgb = rgb(0xE69F00);
+pub const FEM_LINE: Rgb = rgb(0xF5B942);
 /// Outline of the labels in a slice.
 pub const LABEL_LINE: Rgb = rgb(0xFFFFFF);
 /// Edges of elements.

@@ -162,7 +162,7 @@ fn jobs<'a>(input: &'a ReportInput<'a>) -> Vec<Job<'a>> {
         ("fem", views::fem),
         ("fem-cut", views::fem_cut),
         ("embedding", views::embedding),
-        ("skin-frames", views::clusters),
+        ("clusters", views::clusters),
     ];
     for (name, draw) in single {
         out.push(Job {

@@ -159,7 +159,7 @@ impl Figures<'_> {
         self.number += 1;
         let _ = write!(
             self.out,
-            "</div><p class=\"caption\"><b>Figure {}.</b> {text}</p></section>\n",
+            "</div><p class=\"caption\"><b>Figure {}.</b> {text}</p></section>",
             self.number
         );
     }
@@ -218,7 +218,13 @@ fn particles(f: &mut Figures, input: &ReportInput) {
     f.section("Particles and clusters", 3);
     f.picture("particles", "particles, coloured by cluster");
     f.picture("particles-cut", "cut open, coloured by region");
-    f.picture("skin-frames", "cluster centres and bonds");
+    f.picture(
+        "clusters",
+        &format!(
+            "clusters in a slab of {:.0} mm, and their bonds",
+            2.0 * super::views::slab_mm(input)
+        ),
+    );
     let each = input.clusters.members.len() as f64 / input.clusters.len().max(1) as f64;
     f.caption(&format!(
         "{} particles in {} shape-matching clusters, {each:.0} particles in each on average. A particle belongs to \
@@ -281,7 +287,7 @@ fn shapes(out: &mut String, input: &ReportInput) {
         out,
         "<figure>{angles}<figcaption>All dihedral angles of the FEM mesh; a regular tetrahedron has 70.5°.\
          </figcaption></figure><figure>{quality}<figcaption>Triangles of the organ's collision surface; an \
-         equilateral triangle has 1.</figcaption></figure></div></section>\n"
+         equilateral triangle has 1.</figcaption></figure></div></section>"
     );
 }
 

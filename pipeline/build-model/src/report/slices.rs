@@ -4,9 +4,9 @@ use palpate_tetmesh::TetMesh;
 use palpate_volume::{Affine, RegionLabels};
 
 /// Pixels along the longest side.
-const SIDE_PX: f64 = 620.0;
+const SIDE_PX: f64 = 720.0;
 /// Room around the body, mm.
-const MARGIN_MM: f64 = 12.0;
+const MARGIN_MM: f64 = 9.0;
 /// Soft-tissue window, HU.
 const WINDOW: [f32; 2] = [-140.0, 260.0];
 
@@ -100,16 +100,16 @@ pub(super) fn draw(input: &ReportInput, plane: &Plane, centre: [f64; 3]) -> Imag
     outline_labels(&input.anatomy.regions, &window, &mut image);
     for t in sheets(input.fem) {
         if let Some([a, b]) = window.cut(t) {
-            image.line(a, b, 3.0, colour::FEM_LINE, 0.9);
+            image.line(a, b, 3.4, colour::FEM_LINE, 1.0);
         }
     }
     for (_, mesh) in input.surfaces {
         for t in &mesh.triangles {
             let p = |k: usize| mesh.vertices.get(t[k] as usize).copied();
-            if let (Some(a), Some(b), Some(c)) = (p(0), p(1), p(2)) {
-                if let Some([a, b]) = window.cut([a, b, c]) {
-                    image.line(a, b, 1.3, colour::SURFACE_LINE, 1.0);
-                }
+            if let (Some(a), Some(b), Some(c)) = (p(0), p(1), p(2))
+                && let Some([a, b]) = window.cut([a, b, c])
+            {
+                image.line(a, b, 1.6, colour::SURFACE_LINE, 1.0);
             }
         }
     }
@@ -236,7 +236,7 @@ fn outline_labels(regions: &RegionLabels, window: &Window, image: &mut Image) {
         for x in 0..w - 1 {
             let here = labels[y * w + x];
             if here != labels[y * w + x + 1] || here != labels[(y + 1) * w + x] {
-                image.blend((x / 2) as i64, (y / 2) as i64, colour::LABEL_LINE, 0.42);
+                image.blend((x / 2) as i64, (y / 2) as i64, colour::LABEL_LINE, 0.5);
             }
         }
     }

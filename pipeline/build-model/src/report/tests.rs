@@ -198,10 +198,9 @@ fn slices_show_what_lies_where() {
     let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
     let info = reader.next_frame(&mut pixels).unwrap();
     let (w, h) = (info.width as usize, info.height as usize);
-    let blue = |p: &[u8]| p[2] > 190 && p[0] < 130;
+    let blue = |p: &[u8]| p[2] > 170 && p[0] < 110;
     let (mut left, mut right, mut top, mut bottom) = (0, 0, 0, 0);
-    for (i, p) in pixels.chunks(3).enumerate().filter(|(_, p)| blue(p)) {
-        let _ = p;
+    for (i, _) in pixels.chunks(3).enumerate().filter(|(_, p)| blue(p)) {
         let (x, y) = (i % w, i / w);
         *if x < w / 2 { &mut left } else { &mut right } += 1;
         *if y < h / 2 { &mut top } else { &mut bottom } += 1;

@@ -85,9 +85,11 @@ pub(super) fn surface(input: &ReportInput, view: &View) -> Image {
                 edges: None,
             },
         );
-        canvas.over(&layer);
+        canvas.over(&layer, 0.0);
     }
     let mut layer = canvas.layer();
+    // Surfaces of their own that coincide differ by some part of their edges.
+    let bias = 0.3 * mean_edge_mm(&input.surfaces[0].1) as f32;
     let opacity = if structures > 0 { 0.5 } else { 1.0 };
     draw_mesh(
         &mut layer,
@@ -95,14 +97,28 @@ pub(super) fn surface(input: &ReportInput, view: &View) -> Image {
         colour::region(0),
         Finish { opacity, edges: None },
     );
-    canvas.over(&layer);
+    canvas.over(&layer, bias);
     annotated(&canvas, &camera)
+}
+
+/// Root mean square edge, mm.
+fn mean_edge_mm(mesh: &TriMesh) -> f64 {
+    let at = |v: u32| mesh.vertices.get(v as usize).copied().unwrap_or_default();
+    let sum: f64 = mesh
+        .triangles
+        .iter()
+        .map(|t| {
+            let (a, b) = (at(t[0]), at(t[1]));
+            (0..3).map(|k| (a[k] - b[k]).powi(2)).sum::<f64>()
+        })
+        .sum();
+    (sum / mesh.triangles.len().max(1) as f64).sqrt()
 }
 
 pub(super) fn surface_wire(input: &ReportInput) -> Image {
     let mesh = &input.surfaces[0].1;
     let (mut canvas, camera) = canvas(&OBLIQUE, &mesh.vertices);
-    let edges = Some((colour::EDGE, 0.35));
+    let edges = Some((mix(colour::EDGE, colour::region(0), 0.35), 0.18));
     draw_mesh(
         &mut canvas,
         mesh,
@@ -164,14 +180,19 @@ pub(super) fn particles_cut(input: &ReportInput) -> Image {
     annotated(&canvas, &camera)
 }
 
-/// Cluster centres within the organ, joined where clusters share at least three particles.
+/// Cluster centres near the cut, joined where clusters share at least three particles.
 pub(super) fn clusters(input: &ReportInput) -> Image {
     let organ = &input.surfaces[0].1;
     let (mut canvas, camera) = canvas(&FRONT, &organ.vertices);
     let c = input.clusters;
-    canvas.lines(&bonds(input), 1.3, colour::INK, 0.0);
-    canvas.balls(&c.rest_centres, 0.75 * ball_radius(input), |k| {
-        colour::region(usize::from(c.regions[k]))
+    let (at, half) = (cut_at(input), slab_mm(input));
+    let near = |p: &[f64; 3]| (p[1] - at).abs() <= half;
+    let shown: Vec<usize> = (0..c.len()).filter(|&k| near(&c.rest_centres[k])).collect();
+    let centres: Vec<[f64; 3]> = shown.iter().map(|&k| c.rest_centres[k]).collect();
+    let lines: Vec<_> = bonds(input).into_iter().filter(|s| s.iter().all(near)).collect();
+    canvas.lines(&lines, 1.3, colour::INK, 0.0);
+    canvas.balls(&centres, 0.8 * ball_radius(input), |k| {
+        colour::region(usize::from(c.regions[shown[k]]))
     });
     let mut layer = canvas.layer();
     draw_mesh(
@@ -183,8 +204,14 @@ pub(super) fn clusters(input: &ReportInput) -> Image {
             edges: None,
         },
     );
-    canvas.over(&layer);
+    canvas.over(&layer, 0.0);
     annotated(&canvas, &camera)
+}
+
+/// Half the thickness of the slab of clusters that is shown: about half of their distance, mm.
+pub(super) fn slab_mm(input: &ReportInput) -> f64 {
+    let volume = input.particles.volume_mm3_per_particle * input.particles.positions.len() as f64;
+    0.5 * (volume / input.clusters.len().max(1) as f64).max(0.0).cbrt()
 }
 
 /// Segments between centres of clusters that share at least three particles.
