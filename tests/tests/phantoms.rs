@@ -216,10 +216,10 @@ fn stored_order_of_the_axes_does_not_matter() {
                     n / (f.dims[0] * f.dims[1]),
                 ])
             })
-            .filter(|p| f.value(*p).abs() < 3.0)
+            .filter(|p| f.value(*p).abs() < 0.5)
             .map(|p| (f.value(p) - g.value(p)).abs())
             .fold(0.0, f64::max);
-        assert!(off < 0.02, "fields differ by {off} mm for {order:?} {flip:?}");
+        assert!(off < 0.05, "zero sets differ by {off} mm for {order:?} {flip:?}");
         // The collapse takes edges in another order: the surfaces differ by as much as each does from the field.
         for ((name, x), (_, y)) in a.surfaces.iter().zip(&b.surfaces) {
             let d = surface_distance(x, y, 5000).unwrap().symmetric;
