@@ -5,6 +5,7 @@ use crate::enclosed::{Cells, enclosed_volume, solve_shift};
 use crate::field_repair::{Wanted, follow_flips, repair_signs, repair_voxels};
 use crate::slices::{SliceStack, interpolate, smooth_grid};
 use crate::smooth::{Amplitudes, Grid, blur, edge_offset};
+use crate::thin;
 use crate::topology::shape;
 use crate::volume_report::BodyReport;
 use crate::{Affine, Body, CapPlane, ScalarField, VolumeError, VolumeParams, VoxelMask};
@@ -12,6 +13,11 @@ use rayon::prelude::*;
 
 /// Variance (samples²) of the smoothing after the interpolation between slices: it takes the creases at the slices.
 pub(crate) const SLICE_SMOOTHING: f64 = 1.0;
+
+/// Voxel centres on the wrong side of the smooth surface by more than this (mean voxel sizes) mark thin parts.
+const THIN_TOLERANCE: f64 = 0.5;
+/// Rounds in which thin parts are raised.
+const THIN_ROUNDS: usize = 2;
 
 /// Box of the ones of a mask: lowest index and exclusive highest. `None`: empty.
 pub(crate) fn occupied(data: &[u8], dims: [usize; 3]) -> Option<([usize; 3], [usize; 3])> {
@@ -230,20 +236,37 @@ pub(crate) fn shift_to_volume(
     shift
 }
 
-/// Blurred mask as a distance-like function, not yet of the right volume and not cut.
-fn antialiased(mask: &VoxelMask, grid: &Grid, to_index: Affine, params: &VolumeParams) -> Vec<f32> {
-    let (sigma, sigma_mm) = smoothing_sigma(mask.affine.spacing_mm(), params.smoothing_voxels);
-    let mut amplitude = [0.0; 256];
-    amplitude[1] = 1.0;
-    let source = Amplitudes {
-        dims: mask.dims,
-        data: &mask.data,
-        amplitude,
-        to_index,
-    };
-    let mut values = blur(&source, grid, sigma);
-    edge_offset(&mut values, sigma_mm);
-    values
+/// Blurred mask as a distance-like function, not yet of the right volume and not cut. Parts thinner than the blur
+/// are held.
+fn antialiased(
+    mask: &VoxelMask,
+    grid: &Grid,
+    to_index: Affine,
+    params: &VolumeParams,
+    report: &mut BodyReport,
+) -> Vec<f32> {
+    let voxel_mm = mask.affine.spacing_mm();
+    let (sigma, sigma_mm) = smoothing_sigma(voxel_mm, params.smoothing_voxels);
+    let mut codes = mask.data.clone();
+    let amplitude = thin::amplitudes();
+    let tolerance = THIN_TOLERANCE * voxel_mm.iter().sum::<f64>() / 3.0;
+    let mut round = 0;
+    loop {
+        let source = Amplitudes {
+            dims: mask.dims,
+            data: &codes,
+            amplitude,
+            to_index,
+        };
+        let mut values = blur(&source, grid, sigma);
+        edge_offset(&mut values, sigma_mm);
+        let found = thin::find(mask, &values, grid, sigma_mm, tolerance);
+        report.thin_lost_mm3 = found.lost as f64 * mask.affine.det().abs();
+        if round == THIN_ROUNDS || !found.raise(mask, &mut codes) {
+            return values;
+        }
+        round += 1;
+    }
 }
 
 /// Builds the field of a body from its voxels, and settles both: components, voids, handles, volume.
@@ -295,7 +318,7 @@ pub(crate) fn build_body(
         smooth_grid(&mut values, grid.dims, SLICE_SMOOTHING);
         values
     } else {
-        antialiased(&mask, &grid, to_index, params)
+        antialiased(&mask, &grid, to_index, params, report)
     };
     report.level_shift_mm = shift_to_volume(&mut values, &grid, &caps, mask.volume_mm3(), reach);
     redistance(&mut values, &grid);
@@ -330,6 +353,7 @@ pub(crate) fn build_body(
     report.spacing_mm = grid.spacing_mm;
     report.field_dims = grid.dims;
     report.caps = caps.clone();
+    report.thin_share = thin::thin_share(&mask);
     Ok(Body {
         name: name.to_owned(),
         drawn,

@@ -9,7 +9,7 @@ use crate::{Affine, ScalarField, VolumeParams};
 use rayon::prelude::*;
 
 /// How far (mm) structures are continued beyond the organ's surface.
-const REACH_MM: f64 = 8.0;
+const REACH_MM: f64 = 6.0;
 
 /// Materials continued beyond the body: every voxel outside within [`REACH_MM`] takes the material of the nearest
 /// voxel inside. Work is confined to the boxes around the structures (materials from 2 on).
@@ -22,65 +22,85 @@ pub(crate) fn extend_materials(material: &[u8], dims: [usize; 3], affine: &Affin
     drop(structures);
     let spacing = affine.spacing_mm();
     // Room for the reach, and for the organ's voxels on the far side of the gap.
-    let room: [usize; 3] = std::array::from_fn(|a| (2.0 * REACH_MM / spacing[a]).ceil() as usize + 1);
+    let room: [usize; 3] = std::array::from_fn(|a| (1.5 * REACH_MM / spacing[a]).ceil() as usize + 1);
     let lo: [usize; 3] = std::array::from_fn(|a| lo[a].saturating_sub(room[a]));
     let hi: [usize; 3] = std::array::from_fn(|a| (hi[a] + room[a]).min(dims[a]));
     let size: [usize; 3] = std::array::from_fn(|a| hi[a] - lo[a]);
-    let [nx, ny, _] = size;
-    let global = |i: usize, j: usize, k: usize| lo[0] + i + dims[0] * (lo[1] + j + dims[1] * (lo[2] + k));
-    // Offset (voxels) to the nearest voxel of the body.
-    const NONE: [i16; 3] = [i16::MAX; 3];
-    let mut step = vec![NONE; size.iter().product()];
-    for (n, s) in step.iter_mut().enumerate() {
-        if material[global(n % nx, n / nx % ny, n / (nx * ny))] != 0 {
-            *s = [0; 3];
+    // One layer more on every side, so that no step leaves the array.
+    let padded = size.map(|d| d + 2);
+    let [nx, ny, _] = padded;
+    let global =
+        |i: usize, j: usize, k: usize| lo[0] + i - 1 + dims[0] * (lo[1] + j - 1 + dims[1] * (lo[2] + k - 1));
+    // Offset (voxels) to the nearest voxel of the body, and its squared length (mm²).
+    let mut step = vec![[0i16; 3]; padded.iter().product()];
+    let mut length = vec![f32::INFINITY; step.len()];
+    for k in 1..=size[2] {
+        for j in 1..=size[1] {
+            let (to, from) = (nx * (j + ny * k), global(1, j, k));
+            for i in 0..size[0] {
+                if material[from + i] != 0 {
+                    length[to + 1 + i] = 0.0;
+                }
+            }
         }
     }
-    let length2 = |s: [i16; 3]| {
-        let v = affine.apply_vector(s.map(f64::from));
-        v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
+    let m = affine.m.map(|r| [r[0] as f32, r[1] as f32, r[2] as f32]);
+    let length2 = |s: [i16; 3]| -> f32 {
+        let s = s.map(f32::from);
+        m.iter()
+            .map(|r| (r[0] * s[0] + r[1] * s[1] + r[2] * s[2]).powi(2))
+            .sum()
     };
-    let before: Vec<[i16; 3]> = (0..13).map(|n| [n % 3 - 1, n / 3 % 3 - 1, n / 9 - 1]).collect();
-    for pass in 0..2 {
-        let forward = pass % 2 == 0;
-        for raw in 0..step.len() {
-            let n = if forward { raw } else { step.len() - 1 - raw };
-            if step[n] == [0; 3] {
-                continue;
-            }
-            let c = [n % nx, n / nx % ny, n / (nx * ny)];
-            let (mut best, mut d) = (
-                step[n],
-                if step[n] == NONE {
-                    f64::INFINITY
-                } else {
-                    length2(step[n])
-                },
-            );
-            for o in &before {
-                let o = if forward { *o } else { o.map(|v| -v) };
-                let q: [i64; 3] = std::array::from_fn(|a| c[a] as i64 + i64::from(o[a]));
-                if (0..3).any(|a| q[a] < 0 || q[a] >= size[a] as i64) {
+    let most = (REACH_MM * REACH_MM) as f32;
+    let before: Vec<([i16; 3], usize)> = (0..13usize)
+        .map(|n| {
+            let c = [n % 3, n / 3 % 3, n / 9].map(|v| v as i16 - 1);
+            let back = -(i64::from(c[0]) + nx as i64 * (i64::from(c[1]) + ny as i64 * i64::from(c[2])));
+            (c, back as usize)
+        })
+        .collect();
+    let mut pass = |forward: bool| {
+        let rows: Vec<(usize, usize)> = (1..=size[2])
+            .flat_map(|k| (1..=size[1]).map(move |j| (j, k)))
+            .collect();
+        for r in 0..rows.len() {
+            let (j, k) = rows[if forward { r } else { rows.len() - 1 - r }];
+            for raw in 1..=size[0] {
+                let i = if forward { raw } else { size[0] + 1 - raw };
+                let n = i + nx * (j + ny * k);
+                if length[n] == 0.0 {
                     continue;
                 }
-                let s = step[q[0] as usize + nx * (q[1] as usize + ny * q[2] as usize)];
-                if s == NONE {
-                    continue;
-                }
-                let t: [i16; 3] = std::array::from_fn(|a| s[a] + o[a]);
-                let e = length2(t);
-                if e < d {
-                    (best, d) = (t, e);
+                for (o, back) in &before {
+                    let (o, q) = if forward {
+                        (*o, n - back)
+                    } else {
+                        (o.map(|v| -v), n + back)
+                    };
+                    if length[q] > most {
+                        continue;
+                    }
+                    let t: [i16; 3] = std::array::from_fn(|a| step[q][a] + o[a]);
+                    let e = length2(t);
+                    if e < length[n] {
+                        (step[n], length[n]) = (t, e);
+                    }
                 }
             }
-            step[n] = best;
         }
-    }
-    for (n, s) in step.iter().enumerate() {
-        if *s != NONE && *s != [0; 3] && length2(*s) <= REACH_MM * REACH_MM {
-            let c = [n % nx, n / nx % ny, n / (nx * ny)];
-            let q: [usize; 3] = std::array::from_fn(|a| (c[a] as i64 + i64::from(s[a])) as usize);
-            out[global(c[0], c[1], c[2])] = material[global(q[0], q[1], q[2])];
+    };
+    pass(true);
+    pass(false);
+    for k in 1..=size[2] {
+        for j in 1..=size[1] {
+            for i in 1..=size[0] {
+                let n = i + nx * (j + ny * k);
+                if length[n] > 0.0 && length[n] <= most {
+                    let q: [usize; 3] =
+                        std::array::from_fn(|a| ([i, j, k][a] as i64 + i64::from(step[n][a])) as usize);
+                    out[global(i, j, k)] = material[global(q[0], q[1], q[2])];
+                }
+            }
         }
     }
     out

@@ -4,7 +4,7 @@ use crate::components::Runs;
 use crate::smooth::Grid;
 use crate::topology::{Edit, Shape, shape, simplify};
 use crate::volume_report::TopologyReport;
-use crate::{ScalarField, VoxelMask};
+use crate::{Implicit, ScalarField, VoxelMask};
 use rayon::prelude::*;
 
 /// What a body may consist of.
@@ -147,8 +147,7 @@ pub(crate) fn repair_signs(
         });
     }
     let edits = if wanted.handle_mm > 0.0 {
-        let depth = |n: usize| values[n];
-        simplify(&mut inside, dims, &depth, 0.5 * wanted.handle_mm as f32, may_fill)
+        simplify(&mut inside, dims, values, 0.5 * wanted.handle_mm as f32, may_fill)
     } else {
         Vec::new()
     };
@@ -297,7 +296,6 @@ pub(crate) fn repair_voxels(
     wanted: &Wanted,
     may_fill: &(dyn Fn(usize) -> bool + Sync),
 ) -> (TopologyReport, usize) {
-    use crate::Implicit;
     let inner = mask.dims;
     let dims = inner.map(|d| d + 2);
     let voxel_mm3 = mask.affine.det().abs();
@@ -336,8 +334,7 @@ pub(crate) fn repair_voxels(
     );
     let start = shape(&inside, dims);
     let edits = if wanted.handle_mm > 0.0 && start.handles() > 0 {
-        // A voxel's side and its centre's sign in the smooth field can differ by a fraction of a voxel.
-        let depth = |n: usize| field.value(mask.affine.apply(index(n))) as f32;
+        let depth = depth_at_voxels(field, mask, dims, 0.5 * wanted.handle_mm);
         let allowed = |n: usize| to_inner(n).is_some_and(may_fill);
         simplify(&mut inside, dims, &depth, 0.5 * wanted.handle_mm as f32, &allowed)
     } else {
@@ -364,4 +361,41 @@ pub(crate) fn repair_voxels(
         mask.affine.apply(index(n))
     });
     (report, changed)
+}
+
+/// Field values at the voxel centres of the mask padded to `dims` by one voxel; where they exceed `reach` on whole
+/// blocks only their size is right. (A voxel's side and its centre's sign can differ by a fraction of a voxel.)
+fn depth_at_voxels(field: &ScalarField, mask: &VoxelMask, dims: [usize; 3], reach: f64) -> Vec<f32> {
+    const EDGE: usize = 4;
+    let [nx, ny, _] = dims;
+    let spacing = mask.affine.spacing_mm();
+    // A sheared block is at most this far from its middle to its corner.
+    let radius = 0.5 * EDGE as f64 * spacing.iter().sum::<f64>();
+    let at = |c: [f64; 3]| mask.affine.apply(c.map(|v| v - 1.0));
+    let mut out = vec![0.0f32; dims.iter().product()];
+    out.par_chunks_mut(nx * ny * EDGE)
+        .enumerate()
+        .for_each(|(bk, slab)| {
+            let depth = slab.len() / (nx * ny);
+            for bj in (0..ny).step_by(EDGE) {
+                for bi in (0..nx).step_by(EDGE) {
+                    let start = [bi as f64, bj as f64, (bk * EDGE) as f64];
+                    let middle = field.value(at(start.map(|v| v + 0.5 * (EDGE - 1) as f64)));
+                    let far = middle.abs() > reach + radius;
+                    for k in 0..depth {
+                        for j in bj..(bj + EDGE).min(ny) {
+                            for i in bi..(bi + EDGE).min(nx) {
+                                let v = if far {
+                                    middle
+                                } else {
+                                    field.value(at([i as f64, j as f64, (bk * EDGE + k) as f64]))
+                                };
+                                slab[i + nx * (j + ny * k)] = v as f32;
+                            }
+                        }
+                    }
+                }
+            }
+        });
+    out
 }

@@ -29,6 +29,7 @@ mod selection;
 mod slices;
 mod smooth;
 mod structures;
+mod thin;
 mod topology;
 mod totalsegmentator;
 mod volume_error;

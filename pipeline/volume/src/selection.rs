@@ -75,6 +75,7 @@ pub struct VolumeParams {
     /// Components of a support below this volume (mm³) are dropped.
     pub support_stray_mm3: f64,
     /// Handles whose ring, and tunnels whose width, is below this size (mm) are topological noise and are removed.
+    /// On eight kidney scans every handle of the smooth field is narrower than 4 mm.
     pub max_handle_mm: f64,
     /// Keeps handles and tunnels as drawn.
     pub keep_topology: bool,
@@ -103,7 +104,7 @@ impl Default for VolumeParams {
             void_mm3: 10_000.0,
             structure_stray_mm3: 30.0,
             support_stray_mm3: 500.0,
-            max_handle_mm: 10.0,
+            max_handle_mm: 6.0,
             keep_topology: false,
             field_spacing_mm: None,
             max_field_samples: 40_000_000,

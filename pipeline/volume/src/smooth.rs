@@ -42,15 +42,23 @@ pub(crate) struct Amplitudes<'a> {
 const BLOCK: usize = 8;
 /// Voxels per edge of the cells that tell uniform regions.
 const CELL: usize = 4;
-const MIXED: u16 = u16::MAX;
+pub(crate) const MIXED: u16 = u16::MAX;
 
 /// Which cells of CELL³ voxels hold one code only.
 pub(crate) struct Uniform {
-    dims: [usize; 3],
+    pub dims: [usize; 3],
     code: Vec<u16>,
 }
 
 impl Uniform {
+    /// Voxels per edge of a cell.
+    pub const EDGE: usize = CELL;
+
+    /// Code of the cell `ci` along the first axis that holds the voxel row (j, k), or [`MIXED`].
+    pub fn at(&self, ci: usize, j: usize, k: usize) -> u16 {
+        self.code[ci + self.dims[0] * (j / CELL + self.dims[1] * (k / CELL))]
+    }
+
     pub fn new(dims: [usize; 3], data: &[u8]) -> Self {
         let cells = dims.map(|d| d.div_ceil(CELL));
         let mut code = vec![0; cells.iter().product()];

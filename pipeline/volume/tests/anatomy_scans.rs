@@ -37,12 +37,14 @@ fn build(scan: &Scan, selection: &AnatomySelection, params: &VolumeParams) -> (A
 fn describe(body: &Body, report: &BodyReport) {
     let (v, f) = (&report.voxel_topology, &report.field_topology);
     println!(
-        "  {}: {:.1} mL drawn {:.1}, field error {:.3} %, shift {:.3} mm, h {:.3} {:?}, parts {}, voids {:?}, strays {:?}",
+        "  {}: {:.1} mL drawn {:.1}, field error {:.3} %, shift {:.3} mm, thin {:.4} lost {:.1}, h {:.3} {:?}, parts {}, voids {:?}, strays {:?}",
         report.name,
         report.voxel_mm3 / 1e3,
         report.drawn_mm3 / 1e3,
         100.0 * (report.field_mm3 / report.voxel_mm3 - 1.0),
         report.level_shift_mm,
+        report.thin_share,
+        report.thin_lost_mm3,
         report.spacing_mm,
         report.field_dims,
         report.components,
@@ -90,6 +92,18 @@ fn describe(body: &Body, report: &BodyReport) {
     }
 }
 
+/// Defaults, with the smoothing from the environment where one experiments.
+fn params() -> VolumeParams {
+    let mut p = VolumeParams::default();
+    if let Ok(s) = std::env::var("SMOOTH") {
+        p.smoothing_voxels = s.parse().unwrap();
+    }
+    if let Ok(s) = std::env::var("HANDLE") {
+        p.max_handle_mm = s.parse().unwrap();
+    }
+    p
+}
+
 /// Raw arrays to look at: field (f32), mask (u8), and their frames as text.
 fn dump(folder: &std::path::Path, body: &Body) {
     let f = &body.field;
@@ -115,11 +129,7 @@ fn kits_cases() {
         let scan = read_scan(&data.join(format!("kits19/case_{case:05}_segmentation.nii.gz")));
         let mut number = 1;
         loop {
-            let (anatomy, report) = build(
-                &scan,
-                &kits(ComponentChoice::Index(number)),
-                &VolumeParams::default(),
-            );
+            let (anatomy, report) = build(&scan, &kits(ComponentChoice::Index(number)), &params());
             println!("case {case} component {number} of {:?}", report.components);
             println!(
                 "  strays {:?} loose {:?} warnings {:?}",

@@ -103,14 +103,39 @@ pub(crate) struct Edit {
 pub(crate) fn simplify(
     inside: &mut [u8],
     dims: [usize; 3],
-    depth: &(dyn Fn(usize) -> f32 + Sync),
+    depth: &[f32],
     reach: f32,
     may_fill: &(dyn Fn(usize) -> bool + Sync),
 ) -> Vec<Edit> {
     let mut done = Vec::new();
     let start = shape(inside, dims);
+    let mut now = start;
+    // Most noise is far narrower than the limit, and a narrow band is quick to search.
+    for share in [0.3, 1.0] {
+        if now.handles() > 0 {
+            now = simplify_within(inside, dims, depth, share * reach, may_fill, now, &mut done);
+        }
+    }
+    if !done.is_empty() {
+        settle(inside, dims, start, &mut done);
+    }
+    done
+}
+
+fn simplify_within(
+    inside: &mut [u8],
+    dims: [usize; 3],
+    depth: &[f32],
+    reach: f32,
+    may_fill: &(dyn Fn(usize) -> bool + Sync),
+    start: Shape,
+    done: &mut Vec<Edit>,
+) -> Shape {
+    let mut before = start;
     for round in 0..ROUNDS {
-        let before = if round == 0 { start } else { shape(inside, dims) };
+        if round > 0 {
+            before = shape(inside, dims);
+        }
         if before.handles() <= 0 {
             break;
         }
@@ -181,10 +206,7 @@ pub(crate) fn simplify(
             }
         }
     }
-    if !done.is_empty() {
-        settle(inside, dims, start, &mut done);
-    }
-    done
+    before
 }
 
 /// Edits that were sound one by one can enclose a void or strand a part together: the smallest new ones go.
@@ -226,37 +248,39 @@ fn settle(inside: &mut [u8], dims: [usize; 3], start: Shape, done: &mut Vec<Edit
 fn candidates(
     inside: &[u8],
     dims: [usize; 3],
-    depth: &(dyn Fn(usize) -> f32 + Sync),
+    depth: &[f32],
     reach: f32,
     fill: bool,
     may_fill: &(dyn Fn(usize) -> bool + Sync),
 ) -> Vec<Edit> {
     let [nx, ny, nz] = dims;
     let own = u8::from(!fill);
-    let border = |n: usize| {
-        let c = [n % nx, n / nx % ny, n / (nx * ny)];
-        (0..3).any(|a| c[a] == 0 || c[a] + 1 == dims[a])
-    };
+    let side = if fill { 1.0 } else { -1.0 };
     let mut state = vec![BLOCKED; inside.len()];
-    state.par_chunks_mut(nx * ny).enumerate().for_each(|(k, slab)| {
-        for (m, s) in slab.iter_mut().enumerate() {
-            let n = m + nx * ny * k;
-            if inside[n] == own && !(k == 0 || k + 1 == nz || border(n)) {
-                let core = depth(n).abs() >= reach || (fill && !may_fill(n));
-                *s = u8::from(core);
-            }
-        }
-    });
     let free: Vec<u32> = state
-        .par_chunks(nx * ny)
+        .par_chunks_mut(nx * ny)
         .enumerate()
         .map(|(k, slab)| {
-            let start = nx * ny * k;
-            slab.iter()
-                .enumerate()
-                .filter(|(_, s)| **s == 0)
-                .map(|(m, _)| (start + m) as u32)
-                .collect::<Vec<_>>()
+            let mut free = Vec::new();
+            if k == 0 || k + 1 == nz {
+                return free;
+            }
+            for j in 1..ny - 1 {
+                let at = nx * (j + ny * k);
+                let row = &mut slab[nx * j..][..nx];
+                for i in 1..nx - 1 {
+                    let n = at + i;
+                    if inside[n] == own {
+                        // A voxel whose centre the smooth surface leaves on the other side is no core.
+                        let core = side * depth[n] >= reach || (fill && !may_fill(n));
+                        row[i] = u8::from(core);
+                        if !core {
+                            free.push(n as u32);
+                        }
+                    }
+                }
+            }
+            free
         })
         .collect::<Vec<_>>()
         .concat();
@@ -274,7 +298,7 @@ fn candidates(
         let deepest = free
             .iter()
             .copied()
-            .min_by(|&a, &b| depth(a as usize).total_cmp(&depth(b as usize)));
+            .min_by(|&a, &b| depth[a as usize].total_cmp(&depth[b as usize]));
         if let Some(n) = deepest {
             state[n as usize] = 1;
         }
@@ -285,7 +309,7 @@ fn candidates(
         Adjacency::Inside
     };
     let left = grow(&mut state, dims, adjacency, &free, |n| {
-        1.0 - depth(n).abs() / reach
+        1.0 - side * depth[n] / reach
     });
     group(left, inside, dims, fill)
         .into_iter()

@@ -24,7 +24,7 @@ fn torus(p: [f64; 3], major: f64, minor: f64) -> f64 {
 }
 
 fn run(inside: &mut [u8], depth: &[f32], reach: f32) -> Vec<Edit> {
-    simplify(inside, DIMS, &|n| depth[n], reach, &|_| true)
+    simplify(inside, DIMS, depth, reach, &|_| true)
 }
 
 #[test]
