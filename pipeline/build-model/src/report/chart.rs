@@ -34,7 +34,8 @@ pub(super) fn histogram(label: &str, range: [f64; 2], tick: f64, series: &[Serie
     let top = (most / step).ceil() * step;
     let x = |v: f64| LEFT + (W - LEFT - RIGHT) * (v - range[0]) / (range[1] - range[0]);
     let y = |v: f64| H - BOTTOM - (H - BOTTOM - TOP) * v / top;
-    let mut out = format!("<svg viewBox=\"0 0 {W} {H}\" role=\"img\" aria-label=\"{label}\">");
+    let mut out =
+        format!("<svg viewBox=\"0 0 {W} {H}\" font-size=\"11.5\" role=\"img\" aria-label=\"{label}\">");
     let mut v = 0.0;
     while v <= top + 1e-9 {
         let _ = write!(
@@ -107,7 +108,7 @@ pub(super) fn histogram(label: &str, range: [f64; 2], tick: f64, series: &[Serie
             key + 18.0,
             s.name
         );
-        key += 34.0 + 6.6 * s.name.chars().count() as f64;
+        key += 40.0 + 6.6 * s.name.chars().count() as f64;
     }
     let _ = write!(
         out,

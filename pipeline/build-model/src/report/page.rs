@@ -98,6 +98,11 @@ fn swatch(out: &mut String, c: Rgb, name: &str) {
     );
 }
 
+/// A coordinate with one decimal and a true minus sign.
+fn mm(v: f64) -> String {
+    format!("{v:.1}").replace('-', "\u{2212}")
+}
+
 fn thousands(n: usize) -> String {
     let digits = n.to_string();
     let mut out = String::new();
@@ -130,11 +135,8 @@ struct Figures<'a> {
 }
 
 impl Figures<'_> {
-    fn section(&mut self, title: &str, columns: usize) {
-        let _ = write!(
-            self.out,
-            "<section><h2>{title}</h2><div class=\"row c{columns}\">"
-        );
+    fn section(&mut self, title: &str) {
+        let _ = write!(self.out, "<section><h2>{title}</h2><div class=\"row\">");
     }
 
     fn picture(&mut self, name: &str, below: &str) {
@@ -143,16 +145,13 @@ impl Figures<'_> {
         };
         let _ = write!(
             self.out,
-            "<figure><img width=\"{}\" height=\"{}\" alt=\"{below}\" src=\"data:image/png;base64,{}\">\
+            "<figure style=\"flex:{} 1 0\"><img width=\"{}\" height=\"{}\" alt=\"{below}\" src=\"data:image/png;base64,{}\">\
              <figcaption>{below}</figcaption></figure>",
+            p.width,
             p.width,
             p.height,
             base64(&p.png)
         );
-    }
-
-    fn row(&mut self, columns: usize) {
-        let _ = write!(self.out, "</div><div class=\"row c{columns}\">");
     }
 
     fn caption(&mut self, text: &str) {
@@ -168,17 +167,18 @@ impl Figures<'_> {
 fn slices(f: &mut Figures, input: &ReportInput) {
     let places = super::slices::places(input);
     for (n, (place, centre)) in places.iter().enumerate() {
-        let at = format!("({:.1}, {:.1}, {:.1}) mm", centre[0], centre[1], centre[2]);
+        let [x, y, z] = centre.map(mm);
+        let at = format!("({x}, {y}, {z}) mm");
         let name = if n == 0 {
             escape(&input.surfaces[0].0)
         } else {
             super::slices::largest_structure(input)
                 .map_or_else(String::new, |n| escape(&input.surfaces[n + 1].0))
         };
-        f.section(&format!("Slices through the {name}"), 3);
+        f.section(&format!("Slices through the {name}"));
         for plane in super::slices::PLANES {
             let axis = ["R", "A", "S"][plane.axis];
-            let below = format!("{}, {axis} = {:.1} mm", plane.name, centre[plane.axis]);
+            let below = format!("{}, {axis} = {} mm", plane.name, mm(centre[plane.axis]));
             f.picture(&format!("slice-{place}-{}", plane.name), &below);
         }
         let ground = if input.ct.is_some() {
@@ -198,7 +198,7 @@ fn slices(f: &mut Figures, input: &ReportInput) {
 }
 
 fn surfaces(f: &mut Figures, input: &ReportInput) {
-    f.section("Collision surfaces", 3);
+    f.section("Collision surfaces");
     for (name, below) in [
         ("front", "from the front"),
         ("left", "from the patient's left"),
@@ -206,6 +206,7 @@ fn surfaces(f: &mut Figures, input: &ReportInput) {
     ] {
         f.picture(&format!("surface-{name}"), below);
     }
+    f.picture("surface-wire", "triangles of the organ");
     let through = if input.anatomy.structures.is_empty() {
         ""
     } else {
@@ -215,7 +216,7 @@ fn surfaces(f: &mut Figures, input: &ReportInput) {
 }
 
 fn particles(f: &mut Figures, input: &ReportInput) {
-    f.section("Particles and clusters", 3);
+    f.section("Particles and clusters");
     f.picture("particles", "particles, coloured by cluster");
     f.picture("particles-cut", "cut open, coloured by region");
     f.picture(
@@ -236,11 +237,9 @@ fn particles(f: &mut Figures, input: &ReportInput) {
 }
 
 fn tets(f: &mut Figures, input: &ReportInput) {
-    f.section("Tetrahedral meshes", 3);
+    f.section("Tetrahedral meshes");
     f.picture("fem-cut", "FEM mesh, cut open");
     f.picture("fem", "FEM mesh, outer boundary");
-    f.picture("surface-wire", "collision surface, for comparison");
-    f.row(3);
     f.picture("embedding", "embedding mesh around the organ");
     let through = super::slices::largest_structure(input)
         .map_or("organ's centroid", |n| input.surfaces[n + 1].0.as_str());
@@ -254,7 +253,7 @@ fn tets(f: &mut Figures, input: &ReportInput) {
 }
 
 fn shapes(out: &mut String, input: &ReportInput) {
-    out.push_str("<section><h2>Element shapes</h2><div class=\"row c2\">");
+    out.push_str("<section><h2>Element shapes</h2><div class=\"row\">");
     let blue = colour::css(colour::region(1));
     let dark = colour::css(colour::EDGE);
     let mut series = vec![chart::Series {
@@ -285,8 +284,8 @@ fn shapes(out: &mut String, input: &ReportInput) {
     );
     let _ = write!(
         out,
-        "<figure>{angles}<figcaption>All dihedral angles of the FEM mesh; a regular tetrahedron has 70.5°.\
-         </figcaption></figure><figure>{quality}<figcaption>Triangles of the organ's collision surface; an \
+        "<figure style=\"flex:1 1 0\">{angles}<figcaption>All dihedral angles of the FEM mesh; a regular tetrahedron has 70.5°.\
+         </figcaption></figure><figure style=\"flex:1 1 0\">{quality}<figcaption>Triangles of the organ's collision surface; an \
          equilateral triangle has 1.</figcaption></figure></div></section>"
     );
 }
@@ -320,7 +319,12 @@ fn stages(out: &mut String, stages: &[StageRow]) {
             if k == 0 {
                 let _ = write!(out, "<th rowspan=\"{rows}\">{}</th>", escape(&s.name));
             }
-            let _ = write!(out, "<td>{}</td><td>{}</td>", escape(name), escape(value));
+            let _ = write!(
+                out,
+                "<td class=\"name\">{}</td><td>{}</td>",
+                escape(name),
+                escape(value)
+            );
             if k == 0 {
                 let _ = write!(
                     out,
