@@ -125,6 +125,7 @@ impl<'a, F: Implicit + ?Sized> Improver<'a, F> {
             self.settle_sweep(pull, true);
             self.flip_sweep();
         }
+        self.grade_caps();
         for _ in 0..4 {
             if self.repair_worst() == 0 {
                 break;

@@ -77,6 +77,14 @@ impl Anchors {
             && dot(n, self.caps[c as usize].normal) > CAP_COSINE * length(n)
     }
 
+    /// Whether face `f` lies on a cap.
+    pub fn on_cap(&self, mesh: &HalfEdges, f: u32) -> bool {
+        !self.of.is_empty()
+            && self
+                .cap_of(mesh.org[3 * f as usize])
+                .is_some_and(|c| self.holds(mesh, c, f))
+    }
+
     /// Whether `h` is part of a cap's rim.
     fn is_rim_edge(&self, mesh: &HalfEdges, h: u32) -> bool {
         let (a, b) = (mesh.from(h), mesh.to(h));
@@ -91,10 +99,34 @@ impl Anchors {
         self.of.is_empty() || !self.is_rim_edge(mesh, h)
     }
 
-    /// Whether the ends of `h` may be merged.
-    pub fn may_merge(&self, mesh: &HalfEdges, h: u32) -> bool {
+    /// Whether the ends of `h` may be merged at `p`: along a rim within the cap's plane, into a vertex of a rim only
+    /// where that vertex stands.
+    pub fn may_merge(&self, mesh: &HalfEdges, h: u32, p: V3) -> bool {
+        if self.of.is_empty() {
+            return true;
+        }
         let (a, b) = (mesh.from(h), mesh.to(h));
-        self.of.is_empty() || (!self.is_rim(a) && !self.is_rim(b) && self.cap_of(a) == self.cap_of(b))
+        match (self.is_rim(a), self.is_rim(b)) {
+            (false, false) => self.cap_of(a) == self.cap_of(b),
+            (true, false) => p == mesh.at(a),
+            (false, true) => p == mesh.at(b),
+            (true, true) => {
+                let in_plane = |c: u8| {
+                    let cap = &self.caps[c as usize];
+                    dot(sub(p, cap.point_mm), cap.normal).abs() < 1e-6
+                };
+                self.cap_of(a) == self.cap_of(b)
+                    && self.is_rim_edge(mesh, h)
+                    && self.cap_of(a).is_some_and(in_plane)
+            }
+        }
+    }
+
+    /// Hands what `gone` is tied to over to `kept`, where that is more.
+    pub fn merge(&mut self, kept: u32, gone: u32) {
+        if self.is_rim(gone) && !self.is_rim(kept) {
+            self.of[kept as usize] = self.of[gone as usize];
+        }
     }
 
     /// The place nearest to `p` that vertex `v` may go to.

@@ -2,6 +2,9 @@
 
 use super::*;
 
+/// Rounds in which the triangles of flat caps are split.
+const GRADING_ROUNDS: usize = 8;
+
 impl<F: Implicit + ?Sized> Improver<'_, F> {
     /// Tries to lift every face below the goal; returns how many changes were made.
     pub(super) fn repair_worst(&mut self) -> usize {
@@ -21,6 +24,52 @@ impl<F: Implicit + ?Sized> Improver<'_, F> {
             done += usize::from(self.repair_face(f));
         }
         done
+    }
+
+    /// Grades the triangles of flat caps: a plane needs no triangles for its shape, so the collapse leaves fans of
+    /// long ones behind a rim of short edges. Their longest edges are split until they shrink towards the rim.
+    pub(super) fn grade_caps(&mut self) {
+        let goal = self.params.goal_angle_deg.to_radians();
+        for _ in 0..GRADING_ROUNDS {
+            let mut long: Vec<(f64, u32)> = Vec::new();
+            for f in self.mesh.faces() {
+                if !self.anchors.on_cap(&self.mesh, f) || min_angle(&self.mesh.points(f)) >= goal {
+                    continue;
+                }
+                let longest = (3 * f..3 * f + 3).max_by(|a, b| {
+                    norm2(self.mesh.along(*a))
+                        .total_cmp(&norm2(self.mesh.along(*b)))
+                        .then(b.cmp(a))
+                });
+                if let Some(h) = longest {
+                    long.push((norm2(self.mesh.along(h)), h));
+                }
+            }
+            long.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+            let mut splits = 0;
+            for (l2, h) in long {
+                let alive = self.mesh.org[h as usize] != NONE && norm2(self.mesh.along(h)) == l2;
+                if !alive || !self.anchors.on_cap(&self.mesh, self.mesh.twin(h) / 3) {
+                    continue;
+                }
+                let v = self.mesh.pos.len() as u32;
+                let p = midpoint(self.mesh.at(self.mesh.from(h)), self.mesh.at(self.mesh.to(h)));
+                if !self.split(h, p) {
+                    continue;
+                }
+                splits += 1;
+                for _ in 0..2 {
+                    let ring: Vec<u32> = self.mesh.fan(v).map(|g| 3 * (g / 3) + (g + 1) % 3).collect();
+                    for g in ring {
+                        self.flip_for_angle(g);
+                    }
+                    self.search_vertex(v);
+                }
+            }
+            if splits == 0 {
+                return;
+            }
+        }
     }
 
     fn repair_face(&mut self, f: u32) -> bool {
@@ -131,7 +180,10 @@ impl<F: Implicit + ?Sized> Improver<'_, F> {
         }
         let level = 0.5 * (self.field.value(pa) + self.field.value(pb));
         let mut best: Option<(f64, V3)> = None;
-        for p in [self.to_level(midpoint(pa, pb), level), pa, pb] {
+        for p in [self.to_level(midpoint(pa, pb), level), midpoint(pa, pb), pa, pb] {
+            if !self.anchors.may_merge(m, h, p) {
+                continue;
+            }
             let mut worst = f64::INFINITY;
             for v in [a, b] {
                 for g in m.fan(v).filter(|g| !dead.contains(&(g / 3))) {

@@ -176,7 +176,7 @@ impl<F: Implicit + ?Sized> Improver<'_, F> {
 
     /// Merges the ends of `h` at `p` unless the topology would change or triangles cross.
     pub(super) fn collapse(&mut self, h: u32, p: V3) -> bool {
-        if !self.anchors.may_merge(&self.mesh, h) || !self.mesh.may_collapse(h) {
+        if !self.anchors.may_merge(&self.mesh, h, p) || !self.mesh.may_collapse(h) {
             return false;
         }
         let m = &self.mesh;
@@ -195,6 +195,7 @@ impl<F: Implicit + ?Sized> Improver<'_, F> {
             return false;
         }
         self.guard.merge(b, a);
+        self.anchors.merge(b, a);
         self.mesh.collapse(h, p);
         self.guard.update(&self.mesh, old);
         self.report.collapses += 1;
