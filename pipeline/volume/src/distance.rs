@@ -5,8 +5,9 @@ use rayon::prelude::*;
 
 /// Samples on either side of the zero set, counted in face steps, that are solved on the fine grid.
 const BAND: u8 = 5;
-/// Fine samples per coarse one, for distances beyond the band.
-const COARSE: usize = 3;
+/// Samples up to which distances beyond the band are found at every second sample, else at every third: the error of
+/// interpolating between them grows with the square, and small grids hold small (strongly curved) bodies.
+const SMALL: usize = 4_000_000;
 const UNKNOWN: u8 = u8::MAX;
 
 /// Samples (sorted) that have a face neighbour of the other sign. Negative is inside.
@@ -187,8 +188,9 @@ fn solve_band(values: &mut [f32], layer: &mut [u8], dims: [usize; 3], h: f32, su
 
 /// Distances beyond the band, from nearest surface points on a coarse grid. `points` are in samples.
 fn fill_far(values: &mut [f32], layer: &[u8], dims: [usize; 3], h: f32, points: &[[f32; 3]]) {
-    let coarse = dims.map(|d| (d - 1).div_ceil(COARSE) + 1);
-    let nearest = nearest_points(coarse, points);
+    let step = if values.len() <= SMALL { 2 } else { 3 };
+    let coarse = dims.map(|d| (d - 1).div_ceil(step) + 1);
+    let nearest = nearest_points(coarse, step, points);
     let [cx, cy, _] = coarse;
     let [nx, ny, nz] = dims;
     let signed: Vec<f32> = (0..nearest.len())
@@ -196,7 +198,7 @@ fn fill_far(values: &mut [f32], layer: &[u8], dims: [usize; 3], h: f32, points: 
         .with_min_len(4096)
         .map(|n| {
             let c = [n % cx, n / cx % cy, n / (cx * cy)];
-            let f: [usize; 3] = std::array::from_fn(|a| c[a] * COARSE);
+            let f: [usize; 3] = std::array::from_fn(|a| c[a] * step);
             let known = f[0] < nx && f[1] < ny && f[2] < nz;
             let at = f[0] + nx * (f[1] + ny * f[2]);
             if known && layer[at] != UNKNOWN {
@@ -215,11 +217,11 @@ fn fill_far(values: &mut [f32], layer: &[u8], dims: [usize; 3], h: f32, points: 
         .enumerate()
         .for_each(|(k, (slab, layer))| {
             let mut line = vec![0.0f32; cx];
-            let (k0, tz) = (k / COARSE, (k % COARSE) as f32 / COARSE as f32);
-            let k1 = if k % COARSE == 0 { k0 } else { k0 + 1 };
+            let (k0, tz) = (k / step, (k % step) as f32 / step as f32);
+            let k1 = if k % step == 0 { k0 } else { k0 + 1 };
             for j in 0..ny {
-                let (j0, ty) = (j / COARSE, (j % COARSE) as f32 / COARSE as f32);
-                let j1 = if j % COARSE == 0 { j0 } else { j0 + 1 };
+                let (j0, ty) = (j / step, (j % step) as f32 / step as f32);
+                let j1 = if j % step == 0 { j0 } else { j0 + 1 };
                 let at = |j: usize, k: usize| &signed[cx * (j + cy * k)..][..cx];
                 let (a, b, c, d) = (at(j0, k0), at(j1, k0), at(j0, k1), at(j1, k1));
                 for i in 0..cx {
@@ -230,7 +232,7 @@ fn fill_far(values: &mut [f32], layer: &[u8], dims: [usize; 3], h: f32, points: 
                 let known = &layer[nx * j..][..nx];
                 for i in 0..nx {
                     if known[i] == UNKNOWN {
-                        let (i0, tx) = (i / COARSE, (i % COARSE) as f32 / COARSE as f32);
+                        let (i0, tx) = (i / step, (i % step) as f32 / step as f32);
                         let i1 = (i0 + 1).min(cx - 1);
                         let d = (line[i0] + (line[i1] - line[i0]) * tx).abs().max(floor);
                         row[i] = if row[i] < 0.0 { -d } else { d };
@@ -299,24 +301,23 @@ fn interpolate(values: &[f32], dims: [usize; 3], p: [f32; 3]) -> Option<(f32, [f
     Some((value, g))
 }
 
-fn distance2(c: [usize; 3], p: [f32; 3]) -> f32 {
-    (0..3).map(|a| ((c[a] * COARSE) as f32 - p[a]).powi(2)).sum()
+fn distance2(c: [usize; 3], step: usize, p: [f32; 3]) -> f32 {
+    (0..3).map(|a| ((c[a] * step) as f32 - p[a]).powi(2)).sum()
 }
 
 /// Index of a nearest point for every coarse node: nodes around each point take it, raster passes hand it on.
-fn nearest_points(dims: [usize; 3], points: &[[f32; 3]]) -> Vec<u32> {
+fn nearest_points(dims: [usize; 3], step: usize, points: &[[f32; 3]]) -> Vec<u32> {
     const NONE: u32 = u32::MAX;
     let [nx, ny, nz] = dims;
     let mut best = vec![NONE; nx * ny * nz];
     let mut dist = vec![f32::MAX; best.len()];
     for (n, p) in points.iter().enumerate() {
-        let c: [usize; 3] = std::array::from_fn(|a| {
-            ((p[a] / COARSE as f32).max(0.0) as usize).min(dims[a].saturating_sub(2))
-        });
+        let c: [usize; 3] =
+            std::array::from_fn(|a| ((p[a] / step as f32).max(0.0) as usize).min(dims[a].saturating_sub(2)));
         for o in 0..8 {
             let q: [usize; 3] = std::array::from_fn(|a| (c[a] + (o >> a & 1)).min(dims[a] - 1));
             let at = q[0] + nx * (q[1] + ny * q[2]);
-            let d = distance2(q, *p);
+            let d = distance2(q, step, *p);
             if d < dist[at] {
                 (dist[at], best[at]) = (d, n as u32);
             }
@@ -338,7 +339,7 @@ fn nearest_points(dims: [usize; 3], points: &[[f32; 3]]) -> Vec<u32> {
                 }
                 let p = best[q[0] as usize + nx * (q[1] as usize + ny * q[2] as usize)];
                 if p != NONE && p != b {
-                    let e = distance2(c, points[p as usize]);
+                    let e = distance2(c, step, points[p as usize]);
                     if e < d {
                         (d, b) = (e, p);
                     }

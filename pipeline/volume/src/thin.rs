@@ -14,6 +14,8 @@ const HELD: f32 = 0.6;
 const STEPS: f32 = 32.0;
 /// Largest amplitude of a voxel of the body, and of its opposite in a cleft.
 const MOST: f32 = 4.0;
+/// Thin voxels that make a sheet or tail together.
+const SHEET: usize = 20;
 /// First code of clefts.
 const CLEFT: u8 = 128;
 
@@ -84,6 +86,7 @@ pub(crate) fn find(mask: &VoxelMask, values: &[f32], grid: &Grid, sigma_mm: f64,
             }
         }
     }
+    near.extend(sheets(&thin_voxels(mask, &uniform).0, dims));
     near.sort_unstable();
     near.dedup();
     let held = near
@@ -139,8 +142,9 @@ fn sample(values: &[f32], grid: &Grid, p: [f64; 3]) -> f64 {
     f64::from(plane(at) + (plane(at + nx * ny) - plane(at)) * t[2])
 }
 
-/// Share of the mask's voxels in parts thinner than two voxels: those that no 2×2×2 block of ones holds.
-pub(crate) fn thin_share(mask: &VoxelMask) -> f64 {
+/// Voxels (sorted) of parts thinner than two voxels: those that no 2×2×2 block of ones holds; and the number of all
+/// ones.
+fn thin_voxels(mask: &VoxelMask, uniform: &Uniform) -> (Vec<u32>, u64) {
     let [nx, ny, nz] = mask.dims;
     let at = |i: i64, j: i64, k: i64| {
         i >= 0
@@ -151,37 +155,80 @@ pub(crate) fn thin_share(mask: &VoxelMask) -> f64 {
             && (k as usize) < nz
             && mask.data[i as usize + nx * (j as usize + ny * k as usize)] == 1
     };
-    let uniform = Uniform::new(mask.dims, &mask.data);
-    let (thin, all) = (0..ny * nz)
+    let rows: Vec<(Vec<u32>, u64)> = (0..ny * nz)
         .into_par_iter()
         .with_min_len(64)
         .map(|r| {
             let (j, k) = (r % ny, r / ny);
-            let (mut thin, mut all) = (0u64, 0u64);
-            for i in 0..nx {
-                if mask.data[i + nx * r] == 0 {
-                    continue;
-                }
-                all += 1;
-                let c = uniform.at(i / Uniform::EDGE, j, k);
-                if c != MIXED
-                    && [i, j, k]
-                        .iter()
-                        .zip([nx, ny, nz])
-                        .all(|(v, n)| *v > 0 && v + 1 < n)
-                {
+            let (mut thin, mut all) = (Vec::new(), 0u64);
+            for ci in 0..uniform.dims[0] {
+                let cell = uniform.at(ci, j, k);
+                let range = ci * Uniform::EDGE..((ci + 1) * Uniform::EDGE).min(nx);
+                if cell != MIXED && range.len() >= 2 {
                     // A whole cell of ones holds a block around each of its voxels.
+                    all += if cell == 1 { range.len() as u64 } else { 0 };
                     continue;
                 }
-                let (x, y, z) = (i as i64, j as i64, k as i64);
-                let held = (0..8).any(|s| {
-                    let (a, b, c) = (x - (s & 1), y - (s >> 1 & 1), z - (s >> 2));
-                    (0..8).all(|t| at(a + (t & 1), b + (t >> 1 & 1), c + (t >> 2)))
-                });
-                thin += u64::from(!held);
+                for i in range {
+                    if mask.data[i + nx * r] == 0 {
+                        continue;
+                    }
+                    all += 1;
+                    let (x, y, z) = (i as i64, j as i64, k as i64);
+                    let held = (0..8).any(|s| {
+                        let (a, b, c) = (x - (s & 1), y - (s >> 1 & 1), z - (s >> 2));
+                        (0..8).all(|t| at(a + (t & 1), b + (t >> 1 & 1), c + (t >> 2)))
+                    });
+                    if !held {
+                        thin.push((i + nx * r) as u32);
+                    }
+                }
             }
             (thin, all)
         })
-        .reduce(|| (0, 0), |a, b| (a.0 + b.0, a.1 + b.1));
-    if all == 0 { 0.0 } else { thin as f64 / all as f64 }
+        .collect();
+    let all = rows.iter().map(|r| r.1).sum();
+    (rows.into_iter().flat_map(|r| r.0).collect(), all)
+}
+
+/// Thin voxels in connected sets of at least [`SHEET`]: sheets and tails, not the bumps of a rough surface.
+fn sheets(thin: &[u32], dims: [usize; 3]) -> Vec<u32> {
+    let mut seen = vec![false; thin.len()];
+    let mut out = Vec::new();
+    for start in 0..thin.len() {
+        if seen[start] {
+            continue;
+        }
+        seen[start] = true;
+        let mut set = vec![thin[start]];
+        let mut next = 0;
+        while next < set.len() {
+            let n = set[next] as i64;
+            next += 1;
+            for o in 0..27i64 {
+                let m = n + o % 3 - 1 + dims[0] as i64 * (o / 3 % 3 - 1 + dims[1] as i64 * (o / 9 - 1));
+                if let Ok(p) = thin.binary_search(&(m.max(0) as u32))
+                    && !seen[p]
+                {
+                    seen[p] = true;
+                    set.push(thin[p]);
+                }
+            }
+        }
+        if set.len() >= SHEET {
+            out.extend(set);
+        }
+    }
+    out.sort_unstable();
+    out
+}
+
+/// Share of the mask's voxels in parts thinner than two voxels.
+pub(crate) fn thin_share(mask: &VoxelMask) -> f64 {
+    let (thin, all) = thin_voxels(mask, &Uniform::new(mask.dims, &mask.data));
+    if all == 0 {
+        0.0
+    } else {
+        thin.len() as f64 / all as f64
+    }
 }
