@@ -91,9 +91,9 @@ pub struct SurfaceQuality {
     pub min_edge_mm: f64,
     /// Longest edge, mm.
     pub max_edge_mm: f64,
-    /// All angles, [`ANGLE_BINS`] bins of 10°.
+    /// All angles, `ANGLE_BINS` bins of 10°.
     pub angle_histogram: Vec<usize>,
-    /// Quality 4√3·A/(a² + b² + c²), [`QUALITY_BINS`] bins of 0.05.
+    /// Quality 4√3·A/(a² + b² + c²), `QUALITY_BINS` bins of 0.05.
     pub quality_histogram: Vec<usize>,
 }
 
