@@ -51,28 +51,29 @@ pub(crate) fn cover(
     let before = particles.len();
     for _ in 0..ROUNDS {
         let grid = PointGrid::new(particles, r);
-        let near = |p: [f64; 3]| grid.nearest(p, r, None).map_or(f64::INFINITY, |n| n.0.sqrt());
         let mut holes: Vec<Hole> = open
             .par_chunks(512)
             .map(|chunk| {
-                let (mut out, mut scratch) = (Vec::new(), Vec::new());
+                let mut search = Search {
+                    mesh,
+                    r,
+                    leaf,
+                    near: Vec::new(),
+                    scratch: Vec::new(),
+                };
+                let mut out = Vec::new();
                 for &candidate in chunk {
                     let worst = if candidate < cells {
                         let c = lattice.position(lattice.coords(all[candidate]));
-                        let e = 0.5 * lattice.s;
-                        let mut search = CellSearch {
-                            mesh,
-                            r,
-                            leaf,
-                            near: &near,
-                            scratch: &mut scratch,
-                        };
-                        search.worst(c, e, 0, None)
+                        search.gather(&grid, c, half_diagonal);
+                        search.cell(c, 0.5 * lattice.s, 0, None)
                     } else {
-                        hole_in_triangle(mesh.corners(candidate - cells), limit, leaf, &near)
+                        search.large_triangle(&grid, mesh.corners(candidate - cells), limit)
                     };
-                    out.extend(worst.map(|(d, at)| Hole {
-                        distance2: d * d,
+                    // Distances beyond what was gathered are not known yet.
+                    let exact = |p| grid.nearest(p, r, None).map_or(f64::INFINITY, |n| n.0);
+                    out.extend(worst.map(|(_, at)| Hole {
+                        distance2: exact(at),
                         candidate,
                         at,
                     }));
@@ -172,28 +173,39 @@ fn touches(lattice: &Lattice, i: usize) -> bool {
     })
 }
 
-struct CellSearch<'a, F> {
+/// Looks for uncovered places of one candidate after another.
+struct Search<'a> {
     mesh: &'a ClosedMesh<'a>,
     r: f64,
     leaf: f64,
-    near: &'a F,
-    scratch: &'a mut Vec<f64>,
+    /// Particles that can cover anything of the candidate.
+    near: Vec<[f64; 3]>,
+    scratch: Vec<f64>,
 }
 
-impl<F: Fn([f64; 3]) -> f64> CellSearch<'_, F> {
+impl Search<'_> {
+    fn gather(&mut self, grid: &PointGrid, c: [f64; 3], reach: f64) {
+        self.near.clear();
+        grid.within(c, (self.r + reach) * (1.0 + 1e-6), |_, p| self.near.push(p));
+    }
+
+    /// Distance to the nearest particle, infinite where none covers `p`.
+    fn distance(&self, p: [f64; 3]) -> f64 {
+        self.near
+            .iter()
+            .map(|&q| dist2(p, q))
+            .fold(f64::INFINITY, f64::min)
+            .sqrt()
+    }
+
     /// The worst uncovered place of the body within the cube around `c` with half edge `e`. `crossing`: the
-    /// triangles that meet the parent cube.
-    fn worst(
-        &mut self,
-        c: [f64; 3],
-        e: f64,
-        depth: u32,
-        crossing: Option<&[u32]>,
-    ) -> Option<(f64, [f64; 3])> {
-        let d = (self.near)(c);
+    /// triangles that meet the parent cube; none meet one that is known to lie inside.
+    fn cell(&mut self, c: [f64; 3], e: f64, depth: u32, crossing: Option<&[u32]>) -> Option<(f64, [f64; 3])> {
+        let d = self.distance(c);
         if d + e * 3f64.sqrt() <= self.r {
             return None;
         }
+        let known_inside = crossing.is_some_and(<[u32]>::is_empty);
         let crossing = match crossing {
             Some(parent) => parent
                 .iter()
@@ -205,54 +217,72 @@ impl<F: Fn([f64; 3]) -> f64> CellSearch<'_, F> {
         let far = d > self.r - self.leaf;
         if crossing.is_empty() || depth >= DEPTH {
             // All inside or all outside, or as good as.
-            let inside = (far || depth < DEPTH) && self.mesh.contains(c, self.scratch);
+            let ask = far || depth < DEPTH;
+            let inside = ask && (known_inside || self.mesh.contains(c, &mut self.scratch));
             if !inside || far || depth >= DEPTH {
                 return (inside && far).then_some((d, c));
             }
         }
-        let mut worst: Option<(f64, [f64; 3])> = None;
+        let mut worst = None;
         for k in 0..8u32 {
             let q = std::array::from_fn(|a| c[a] + if k >> a & 1 == 0 { -0.5 * e } else { 0.5 * e });
-            let found = self.worst(q, 0.5 * e, depth + 1, Some(&crossing));
-            if found.is_some_and(|f| worst.is_none_or(|w| f.0 > w.0)) {
-                worst = found;
-            }
+            worst = worse(worst, self.cell(q, 0.5 * e, depth + 1, Some(&crossing)));
         }
         worst
     }
+
+    /// The worst place of a triangle farther than `limit` from the particles, to half of the smallest cell.
+    fn triangle(&self, t: [[f64; 3]; 3], limit: f64) -> Option<(f64, [f64; 3])> {
+        let (m, reach) = middle(t);
+        let d = self.distance(m);
+        if d + reach <= limit {
+            return None;
+        }
+        if d > limit || reach <= 0.5 * self.leaf {
+            return Some((d, m));
+        }
+        let [p, q] = halves(t);
+        worse(self.triangle(p, limit), self.triangle(q, limit))
+    }
+
+    /// The same for a triangle of any size: parts are small before particles are gathered for them.
+    fn large_triangle(&mut self, grid: &PointGrid, t: [[f64; 3]; 3], limit: f64) -> Option<(f64, [f64; 3])> {
+        let (m, reach) = middle(t);
+        if reach <= self.r {
+            self.gather(grid, m, reach);
+            return self.triangle(t, limit);
+        }
+        let [p, q] = halves(t);
+        worse(
+            self.large_triangle(grid, p, limit),
+            self.large_triangle(grid, q, limit),
+        )
+    }
 }
 
-/// The worst place of a triangle farther than `limit` from the particles, to half of `leaf`.
-fn hole_in_triangle(
-    t: [[f64; 3]; 3],
-    limit: f64,
-    leaf: f64,
-    near: &impl Fn([f64; 3]) -> f64,
-) -> Option<(f64, [f64; 3])> {
-    let m = std::array::from_fn(|a| (t[0][a] + t[1][a] + t[2][a]) / 3.0);
-    let reach = t.iter().map(|&p| dist2(p, m)).fold(0.0, f64::max).sqrt();
-    let d = near(m);
-    if d + reach <= limit {
-        return None;
+/// The farther of two places, the first on a tie.
+fn worse(p: Option<(f64, [f64; 3])>, q: Option<(f64, [f64; 3])>) -> Option<(f64, [f64; 3])> {
+    match (p, q) {
+        (Some(p), Some(q)) => Some(if q.0 > p.0 { q } else { p }),
+        (p, q) => p.or(q),
     }
-    if d > limit || reach <= 0.5 * leaf {
-        return Some((d, m));
-    }
-    // Halving the longest edge keeps slivers from staying slivers.
+}
+
+/// A triangle halved across its longest edge, which keeps slivers from staying slivers.
+fn halves(t: [[f64; 3]; 3]) -> [[[f64; 3]; 3]; 2] {
     let long = (0..3)
         .map(|k| (dist2(t[k], t[(k + 1) % 3]), k))
         .fold((-1.0, 0), |best, e| if e.0 > best.0 { e } else { best })
         .1;
     let (a, b, c) = (t[long], t[(long + 1) % 3], t[(long + 2) % 3]);
     let h = std::array::from_fn(|k| 0.5 * (a[k] + b[k]));
-    let (p, q) = (
-        hole_in_triangle([a, h, c], limit, leaf, near),
-        hole_in_triangle([h, b, c], limit, leaf, near),
-    );
-    match (p, q) {
-        (Some(p), Some(q)) => Some(if q.0 > p.0 { q } else { p }),
-        (p, q) => p.or(q),
-    }
+    [[a, h, c], [h, b, c]]
+}
+
+/// Centroid of a triangle and the distance to its farthest corner.
+fn middle(t: [[f64; 3]; 3]) -> ([f64; 3], f64) {
+    let m = std::array::from_fn(|a| (t[0][a] + t[1][a] + t[2][a]) / 3.0);
+    (m, t.iter().map(|&p| dist2(p, m)).fold(0.0, f64::max).sqrt())
 }
 
 /// Adds a particle at each hole, the farthest first, unless one added before it has covered it.

@@ -94,6 +94,10 @@ impl<'a> ClosedMesh<'a> {
         out.clear();
         for &t in self.bins.at([x - self.lo[0], y - self.lo[1]]) {
             let [a, b, c] = self.corners(t as usize);
+            let beside = |k: usize, v: f64| a[k].min(b[k]).min(c[k]) > v || a[k].max(b[k]).max(c[k]) < v;
+            if beside(0, x) || beside(1, y) {
+                continue;
+            }
             let w = [side(b, c, x, y), side(c, a, x, y), side(a, b, x, y)];
             if w.iter().all(|w| w.1 > 0) || w.iter().all(|w| w.1 < 0) {
                 let sum = w[0].0 + w[1].0 + w[2].0;
