@@ -4,7 +4,7 @@ use crate::distance::redistance;
 use crate::enclosed::{Cells, enclosed_volume, solve_shift};
 use crate::field_repair::{Wanted, follow_flips, repair_signs, repair_voxels};
 use crate::slices::{SliceStack, interpolate, smooth_grid};
-use crate::smooth::{Amplitudes, Grid, blur, edge_offset};
+use crate::smooth::{Amplitudes, Blur, Grid};
 use crate::thin;
 use crate::topology::shape;
 use crate::volume_report::BodyReport;
@@ -248,25 +248,33 @@ fn antialiased(
     let voxel_mm = mask.affine.spacing_mm();
     let (sigma, sigma_mm) = smoothing_sigma(voxel_mm, params.smoothing_voxels);
     let mut codes = mask.data.clone();
-    let amplitude = thin::amplitudes();
     let tolerance = THIN_TOLERANCE * voxel_mm.iter().sum::<f64>() / 3.0;
-    let mut round = 0;
-    loop {
-        let source = Amplitudes {
+    fn source<'a>(mask: &VoxelMask, codes: &'a [u8], to_index: Affine) -> Amplitudes<'a> {
+        Amplitudes {
             dims: mask.dims,
-            data: &codes,
-            amplitude,
+            data: codes,
+            amplitude: thin::amplitudes(),
             to_index,
-        };
-        let mut values = blur(&source, grid, sigma);
-        edge_offset(&mut values, sigma_mm);
-        let found = thin::find(mask, &values, grid, sigma_mm, tolerance);
-        report.thin_lost_mm3 = found.lost as f64 * mask.affine.det().abs();
-        if round == THIN_ROUNDS || !found.raise(mask, &mut codes) {
-            return values;
         }
-        round += 1;
     }
+    let blur = Blur::new(grid, sigma, sigma_mm);
+    let mut values = blur.run(&source(mask, &codes, to_index));
+    let mut thin = thin::find(mask, &values, grid, sigma_mm, tolerance);
+    for _ in 0..THIN_ROUNDS {
+        let changed = thin.raise(mask, &mut codes);
+        if changed.is_empty() {
+            break;
+        }
+        blur.again(
+            &source(mask, &codes, to_index),
+            &mask.affine,
+            &mut values,
+            &changed,
+        );
+        thin.measure(mask, &values, grid, sigma_mm, tolerance);
+    }
+    report.thin_lost_mm3 = thin.lost as f64 * mask.affine.det().abs();
+    values
 }
 
 /// Builds the field of a body from its voxels, and settles both: components, voids, handles, volume.

@@ -41,39 +41,34 @@ pub(crate) struct Components {
     pub list: Vec<Component>,
 }
 
-/// Bytes compared at once while looking for the end of a uniform stretch.
+/// Bytes that are compared at once: most stretches are uniform.
 const CHUNK: usize = 64;
 
 fn scan_row(row: &[u8], class: &[u8; 256], out: &mut Vec<Run>) {
-    let mut x = 0;
-    while x < row.len() {
-        if x + CHUNK <= row.len() {
-            let chunk = &row[x..x + CHUNK];
-            let first = chunk[0];
-            if class[first as usize] == 0 && chunk.iter().fold(0, |a, &c| a | (c ^ first)) == 0 {
-                x += CHUNK;
-                continue;
-            }
-        }
-        let stop = (x + CHUNK).min(row.len());
-        while x < stop {
-            let c = class[row[x] as usize];
-            let start = x;
-            while x < row.len() && class[row[x] as usize] == c {
-                x += 1;
-                if c == 0 && x == stop {
-                    break;
-                }
-            }
-            if c != 0 {
+    let (mut current, mut start) = (0, 0);
+    let mut turn = |x: usize, c: u8, current: &mut u8, start: &mut usize| {
+        if c != *current {
+            if *current != 0 {
                 out.push(Run {
-                    start: start as u32,
+                    start: *start as u32,
                     end: x as u32,
-                    class: c,
+                    class: *current,
                 });
+            }
+            (*current, *start) = (c, x);
+        }
+    };
+    for (n, chunk) in row.chunks(CHUNK).enumerate() {
+        let first = chunk[0];
+        if chunk.iter().fold(0, |a, &c| a | (c ^ first)) == 0 {
+            turn(n * CHUNK, class[first as usize], &mut current, &mut start);
+        } else {
+            for (x, &c) in chunk.iter().enumerate() {
+                turn(n * CHUNK + x, class[c as usize], &mut current, &mut start);
             }
         }
     }
+    turn(row.len(), 0, &mut current, &mut start);
 }
 
 impl Runs {

@@ -4,7 +4,7 @@ use crate::body::{SLICE_SMOOTHING, smoothing_sigma};
 use crate::distance::redistance;
 use crate::enclosed::{Cells, solve_shift};
 use crate::slices::{SliceStack, interpolate, smooth_grid};
-use crate::smooth::{Amplitudes, Grid, blur, edge_offset};
+use crate::smooth::{Amplitudes, Blur, Grid};
 use crate::{Affine, ScalarField, VolumeParams};
 use rayon::prelude::*;
 
@@ -135,6 +135,7 @@ pub(crate) fn indicators(
             .collect();
     }
     let (sigma, sigma_mm) = smoothing_sigma(affine.spacing_mm(), params.smoothing_voxels);
+    let blur = Blur::new(grid, sigma, sigma_mm);
     (0..structures)
         .map(|s| {
             let mut amplitude = [0.0; 256];
@@ -145,9 +146,7 @@ pub(crate) fn indicators(
                 amplitude,
                 to_index,
             };
-            let mut values = blur(&source, grid, sigma);
-            edge_offset(&mut values, sigma_mm);
-            values
+            blur.run(&source)
         })
         .collect()
 }

@@ -7,7 +7,7 @@
 
 use crate::Affine;
 use crate::components::Runs;
-use crate::smooth::{Grid, Uniform, edge_offset, kernel};
+use crate::smooth::{EdgeOffset, Grid, Uniform, kernel};
 use rayon::prelude::*;
 
 /// Value (mm) given to samples far from any contour; only the sign counts there.
@@ -171,12 +171,12 @@ impl Plane {
         let [w, h] = self.size;
         let mut value = self.blurred(picture, smoothing_voxels);
         let mean = 0.5 * (self.spacing[0] + self.spacing[1]);
-        edge_offset(
-            &mut value,
+        let edge = EdgeOffset::new(
             mean * (smoothing_voxels * smoothing_voxels - 1.0 / 12.0)
                 .max(0.05)
                 .sqrt(),
         );
+        value.iter_mut().for_each(|v| *v = edge.of(*v));
         // Nearest contour point of each pixel (pixel coordinates), propagated by raster passes.
         let mut nearest = vec![[f32::NAN; 2]; w * h];
         for y in 0..h {

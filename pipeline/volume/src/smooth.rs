@@ -134,29 +134,241 @@ fn bspline(t: f64) -> [f32; 4] {
     ]
 }
 
-/// Blurred amplitudes at the samples of `grid`.
+/// A blur of voxel amplitudes, sampled on a grid as a signed offset from the blurred edge.
 ///
-/// The kernel is a discrete kernel on the voxels followed by the cubic B-spline, its standard deviation along index
+/// The kernel is a discrete kernel on the voxels followed by the cubic B-spline; its standard deviation along index
 /// axis `a` is `sigma[a]` voxels (at least 1/√3, the spline's own). Work is spent only where voxels differ.
-pub(crate) fn blur(source: &Amplitudes, grid: &Grid, sigma: [f64; 3]) -> Vec<f32> {
-    let kernels: [Vec<f32>; 3] = sigma.map(|s| kernel((s * s - 1.0 / 3.0).max(0.0)));
-    let uniform = Uniform::new(source.dims, source.data);
-    let [nx, ny, _] = grid.dims;
-    let mut out = vec![0.0f32; grid.len()];
-    out.par_chunks_mut(nx * ny * BLOCK)
-        .enumerate()
-        .for_each(|(bk, slab)| {
-            let mut work = Patch::default();
-            let depth = slab.len() / (nx * ny);
-            for bj in 0..ny.div_ceil(BLOCK) {
-                for bi in 0..nx.div_ceil(BLOCK) {
-                    let start = [bi * BLOCK, bj * BLOCK, bk * BLOCK];
-                    let size = [BLOCK.min(nx - start[0]), BLOCK.min(ny - start[1]), depth];
-                    blur_block(source, grid, &kernels, &uniform, start, size, &mut work, slab);
+pub(crate) struct Blur<'a> {
+    grid: &'a Grid,
+    kernels: [Vec<f32>; 3],
+    edge: EdgeOffset,
+}
+
+impl<'a> Blur<'a> {
+    /// `sigma_mm`: standard deviation with which a flat edge comes out.
+    pub fn new(grid: &'a Grid, sigma: [f64; 3], sigma_mm: f64) -> Self {
+        let kernels = sigma.map(|s| kernel((s * s - 1.0 / 3.0).max(0.0)));
+        Self {
+            grid,
+            kernels,
+            edge: EdgeOffset::new(sigma_mm),
+        }
+    }
+
+    /// The offsets (mm, negative where the blurred amplitude is above one half) at every sample.
+    pub fn run(&self, source: &Amplitudes) -> Vec<f32> {
+        let uniform = Uniform::new(source.dims, source.data);
+        let mut out = vec![0.0f32; self.grid.len()];
+        self.blocks(source, &mut out, Some(&uniform), |_| true);
+        out
+    }
+
+    /// Brings `values` (from [`Self::run`]) up to date after the voxels `changed` got other codes.
+    pub fn again(&self, source: &Amplitudes, affine: &Affine, values: &mut [f32], changed: &[u32]) {
+        let edge_mm = self.grid.spacing_mm * BLOCK as f64;
+        let blocks = self.grid.dims.map(|d| d.div_ceil(BLOCK));
+        let mut dirty = vec![false; blocks.iter().product()];
+        let d = source.dims;
+        let reach: [f64; 3] = std::array::from_fn(|r| {
+            (0..3)
+                .map(|a| affine.m[r][a].abs() * (self.kernels[a].len() as f64 / 2.0 + 2.0))
+                .sum()
+        });
+        for &v in changed {
+            let v = v as usize;
+            let p = affine.apply([v % d[0], v / d[0] % d[1], v / (d[0] * d[1])].map(|x| x as f64));
+            let at = |a: usize, side: f64| {
+                let x = (p[a] + side * reach[a] - self.grid.origin_mm[a]) / edge_mm;
+                (x.max(0.0) as usize).min(blocks[a] - 1)
+            };
+            for k in at(2, -1.0)..=at(2, 1.0) {
+                for j in at(1, -1.0)..=at(1, 1.0) {
+                    for i in at(0, -1.0)..=at(0, 1.0) {
+                        dirty[i + blocks[0] * (j + blocks[1] * k)] = true;
+                    }
                 }
             }
+        }
+        self.blocks(source, values, None, |b| dirty[b]);
+    }
+
+    fn blocks(
+        &self,
+        source: &Amplitudes,
+        values: &mut [f32],
+        uniform: Option<&Uniform>,
+        wanted: impl Fn(usize) -> bool + Sync,
+    ) {
+        let [nx, ny, _] = self.grid.dims;
+        let (bx, by) = (nx.div_ceil(BLOCK), ny.div_ceil(BLOCK));
+        values
+            .par_chunks_mut(nx * ny * BLOCK)
+            .enumerate()
+            .for_each(|(bk, slab)| {
+                let mut work = Patch::default();
+                let depth = slab.len() / (nx * ny);
+                for bj in 0..by {
+                    for bi in (0..bx).filter(|bi| wanted(bi + bx * (bj + by * bk))) {
+                        let start = [bi * BLOCK, bj * BLOCK, bk * BLOCK];
+                        let size = [BLOCK.min(nx - start[0]), BLOCK.min(ny - start[1]), depth];
+                        self.block(source, uniform, start, size, &mut work, slab);
+                    }
+                }
+            });
+    }
+
+    fn block(
+        &self,
+        source: &Amplitudes,
+        uniform: Option<&Uniform>,
+        start: [usize; 3],
+        size: [usize; 3],
+        work: &mut Patch,
+        slab: &mut [f32],
+    ) {
+        let [nx, ny, _] = self.grid.dims;
+        let t = &source.to_index;
+        let base = t.apply(self.grid.position(start));
+        let step: [[f64; 3]; 3] = std::array::from_fn(|axis| {
+            let mut v = [0.0; 3];
+            v[axis] = self.grid.spacing_mm;
+            t.apply_vector(v)
         });
-    out
+        // Box of voxels that the block's samples see.
+        let mut lo = [0i64; 3];
+        let mut hi = [0i64; 3];
+        for a in 0..3 {
+            let r = (self.kernels[a].len() / 2) as i64;
+            let (mut l, mut h) = (base[a], base[a]);
+            for axis in 0..3 {
+                let d = step[axis][a] * (size[axis] - 1) as f64;
+                l += d.min(0.0);
+                h += d.max(0.0);
+            }
+            lo[a] = l.floor() as i64 - 1 - r;
+            hi[a] = h.floor() as i64 + 2 + r;
+        }
+        let row_of = |j: usize, k: usize| start[0] + nx * (start[1] + j + ny * k);
+        let clamp = |v: i64, a: usize| v.clamp(0, source.dims[a] as i64 - 1) as usize;
+        let code = uniform.and_then(|u| {
+            u.code_in(
+                std::array::from_fn(|a| clamp(lo[a], a)),
+                std::array::from_fn(|a| clamp(hi[a], a)),
+            )
+        });
+        if let Some(code) = code {
+            let v = self.edge.of(source.amplitude[code as usize]);
+            for k in 0..size[2] {
+                for j in 0..size[1] {
+                    slab[row_of(j, k)..][..size[0]].fill(v);
+                }
+            }
+            return;
+        }
+        let full: [usize; 3] = std::array::from_fn(|a| (hi[a] - lo[a] + 1) as usize);
+        load(source, lo, full, &mut work.a);
+        // Grid axis along each index axis, where the axes are parallel.
+        let along: [Option<usize>; 3] = std::array::from_fn(|a| {
+            let mut axes = (0..3).filter(|&g| step[g][a] != 0.0);
+            axes.next().filter(|_| axes.next().is_none())
+        });
+        if let [Some(x), Some(y), Some(z)] = along
+            && x != y
+            && y != z
+            && x != z
+        {
+            let grid_axis = [x, y, z];
+            let n = grid_axis.map(|g| size[g]);
+            let dims = self.contract_all(
+                work,
+                full,
+                n,
+                |a, u| base[a] + step[grid_axis[a]][a] * u as f64,
+                lo,
+            );
+            let stride = [1, dims[0], dims[0] * dims[1]];
+            let mut of_grid = [0; 3];
+            for a in 0..3 {
+                of_grid[grid_axis[a]] = stride[a];
+            }
+            for k in 0..size[2] {
+                for j in 0..size[1] {
+                    let from = j * of_grid[1] + k * of_grid[2];
+                    for (i, out) in slab[row_of(j, k)..][..size[0]].iter_mut().enumerate() {
+                        *out = self.edge.of(work.a[from + i * of_grid[0]]);
+                    }
+                }
+            }
+            return;
+        }
+        let dims = convolve_all(work, full, &self.kernels);
+        let inner: [i64; 3] = std::array::from_fn(|a| lo[a] + (self.kernels[a].len() / 2) as i64);
+        for k in 0..size[2] {
+            for j in 0..size[1] {
+                let row = &mut slab[row_of(j, k)..][..size[0]];
+                for (i, out) in row.iter_mut().enumerate() {
+                    let p = std::array::from_fn(|a| {
+                        base[a] + step[0][a] * i as f64 + step[1][a] * j as f64 + step[2][a] * k as f64
+                    });
+                    *out = self.edge.of(spline_value(&work.a, dims, inner, p));
+                }
+            }
+        }
+    }
+
+    /// Blurs and samples `work.a` one axis after the other; `position(a, u)` is the index coordinate of sample `u`
+    /// along axis `a`. Returns the size of the result.
+    fn contract_all(
+        &self,
+        work: &mut Patch,
+        full: [usize; 3],
+        n: [usize; 3],
+        position: impl Fn(usize, usize) -> f64,
+        lo: [i64; 3],
+    ) -> [usize; 3] {
+        let mut d = full;
+        for a in 0..3 {
+            let k = &self.kernels[a];
+            let taps = k.len() + 3;
+            let mut out_dims = d;
+            out_dims[a] = n[a];
+            work.b.clear();
+            work.b.resize(out_dims.iter().product(), 0.0);
+            let inner: usize = d[..a].iter().product();
+            let outer: usize = d[a + 1..].iter().product();
+            let mut w = vec![0.0f32; taps];
+            for u in 0..n[a] {
+                let p = position(a, u);
+                let f = p.floor();
+                w.fill(0.0);
+                for (i, s) in bspline(p - f).into_iter().enumerate() {
+                    for (j, c) in k.iter().enumerate() {
+                        w[i + j] += s * c;
+                    }
+                }
+                let first = ((f as i64 - 1 - (k.len() / 2) as i64 - lo[a]).max(0) as usize).min(d[a] - taps);
+                for o in 0..outer {
+                    let from = inner * (first + d[a] * o);
+                    let to = inner * (u + n[a] * o);
+                    if a == 0 {
+                        let src = &work.a[from..from + taps];
+                        work.b[to] = src.iter().zip(&w).map(|(s, c)| s * c).sum();
+                    } else {
+                        let out = &mut work.b[to..to + inner];
+                        for (t, c) in w.iter().enumerate() {
+                            let src = &work.a[from + t * inner..][..inner];
+                            for (v, s) in out.iter_mut().zip(src) {
+                                *v += c * s;
+                            }
+                        }
+                    }
+                }
+            }
+            std::mem::swap(&mut work.a, &mut work.b);
+            d = out_dims;
+        }
+        d
+    }
 }
 
 #[derive(Default)]
@@ -165,84 +377,26 @@ struct Patch {
     b: Vec<f32>,
 }
 
-fn blur_block(
-    source: &Amplitudes,
-    grid: &Grid,
-    kernels: &[Vec<f32>; 3],
-    uniform: &Uniform,
-    start: [usize; 3],
-    size: [usize; 3],
-    work: &mut Patch,
-    slab: &mut [f32],
-) {
-    let [nx, ny, _] = grid.dims;
-    let t = &source.to_index;
-    let base = t.apply(grid.position(start));
-    let step: [[f64; 3]; 3] = std::array::from_fn(|axis| {
-        let mut v = [0.0; 3];
-        v[axis] = grid.spacing_mm;
-        t.apply_vector(v)
-    });
-    // Box of voxels that the block's samples see.
-    let mut lo = [0i64; 3];
-    let mut hi = [0i64; 3];
+/// Cubic B-spline of a patch whose voxel (0, 0, 0) is `lo`, at the index coordinates `p`.
+fn spline_value(patch: &[f32], dims: [usize; 3], lo: [i64; 3], p: [f64; 3]) -> f32 {
+    let mut first = [0usize; 3];
+    let mut w = [[0.0f32; 4]; 3];
     for a in 0..3 {
-        let (mut l, mut h) = (base[a], base[a]);
-        for axis in 0..3 {
-            let d = step[axis][a] * (size[axis] - 1) as f64;
-            l += d.min(0.0);
-            h += d.max(0.0);
-        }
-        lo[a] = l.floor() as i64 - 1;
-        hi[a] = h.floor() as i64 + 2;
+        let f = p[a].floor();
+        first[a] = (f as i64 - 1 - lo[a]).clamp(0, dims[a] as i64 - 4) as usize;
+        w[a] = bspline(p[a] - f);
     }
-    let radius: [i64; 3] = std::array::from_fn(|a| (kernels[a].len() / 2) as i64);
-    let clamp = |v: i64, a: usize| v.clamp(0, source.dims[a] as i64 - 1) as usize;
-    let see = (
-        std::array::from_fn(|a| clamp(lo[a] - radius[a], a)),
-        std::array::from_fn(|a| clamp(hi[a] + radius[a], a)),
-    );
-    let row_of = |j: usize, k: usize| start[0] + nx * (start[1] + j + ny * k);
-    if let Some(code) = uniform.code_in(see.0, see.1) {
-        let v = source.amplitude[code as usize];
-        for k in 0..size[2] {
-            for j in 0..size[1] {
-                slab[row_of(j, k)..][..size[0]].fill(v);
-            }
+    let mut sum = 0.0;
+    for (c, wz) in w[2].iter().enumerate() {
+        let mut plane = 0.0;
+        for (b, wy) in w[1].iter().enumerate() {
+            let at = first[0] + dims[0] * (first[1] + b + dims[1] * (first[2] + c));
+            let v = &patch[at..at + 4];
+            plane += wy * (w[0][0] * v[0] + w[0][1] * v[1] + w[0][2] * v[2] + w[0][3] * v[3]);
         }
-        return;
+        sum += wz * plane;
     }
-    let full: [usize; 3] = std::array::from_fn(|a| (hi[a] - lo[a] + 1 + 2 * radius[a]) as usize);
-    load(source, [0, 1, 2].map(|a| lo[a] - radius[a]), full, &mut work.a);
-    let dims = convolve_all(work, full, kernels);
-    let patch = &work.a;
-    let (sy, sz) = (dims[0], dims[0] * dims[1]);
-    for k in 0..size[2] {
-        for j in 0..size[1] {
-            let row = &mut slab[row_of(j, k)..][..size[0]];
-            for (i, out) in row.iter_mut().enumerate() {
-                let mut first = [0usize; 3];
-                let mut w = [[0.0f32; 4]; 3];
-                for a in 0..3 {
-                    let p = base[a] + step[0][a] * i as f64 + step[1][a] * j as f64 + step[2][a] * k as f64;
-                    let f = p.floor();
-                    first[a] = (f as i64 - 1 - lo[a]).clamp(0, dims[a] as i64 - 4) as usize;
-                    w[a] = bspline(p - f);
-                }
-                let mut sum = 0.0;
-                for (c, wz) in w[2].iter().enumerate() {
-                    let mut plane = 0.0;
-                    for (b, wy) in w[1].iter().enumerate() {
-                        let at = first[0] + sy * (first[1] + b) + sz * (first[2] + c);
-                        let v = &patch[at..at + 4];
-                        plane += wy * (w[0][0] * v[0] + w[0][1] * v[1] + w[0][2] * v[2] + w[0][3] * v[3]);
-                    }
-                    sum += wz * plane;
-                }
-                *out = sum;
-            }
-        }
-    }
+    sum
 }
 
 /// Amplitudes of the box that starts at `lo`, voxels beyond the ends replicated.
@@ -290,21 +444,29 @@ fn convolve_all(work: &mut Patch, size: [usize; 3], kernels: &[Vec<f32>; 3]) -> 
 
 /// Signed offset −σ·Φ⁻¹(u) at which an edge blurred with standard deviation σ shows the value u: it turns the
 /// blurred indicator into a distance (exact for a flat boundary), negative inside. Saturates at 3.7 σ.
-pub(crate) fn edge_offset(values: &mut [f32], sigma_mm: f64) {
-    const N: usize = 4096;
-    let table: Vec<f32> = (0..=N)
-        .map(|i| {
-            let u = (i as f64 / N as f64).clamp(1e-4, 1.0 - 1e-4);
-            (-sigma_mm * inverse_normal(u)) as f32
-        })
-        .collect();
-    values.par_chunks_mut(1 << 16).for_each(|part| {
-        for v in part {
-            let x = v.clamp(0.0, 1.0) * N as f32;
-            let i = (x as usize).min(N - 1);
-            *v = table[i] + (table[i + 1] - table[i]) * (x - i as f32);
-        }
-    });
+pub(crate) struct EdgeOffset {
+    table: Vec<f32>,
+}
+
+impl EdgeOffset {
+    const STEPS: usize = 4096;
+
+    pub fn new(sigma_mm: f64) -> Self {
+        let table = (0..=Self::STEPS)
+            .map(|i| {
+                let u = (i as f64 / Self::STEPS as f64).clamp(1e-4, 1.0 - 1e-4);
+                (-sigma_mm * inverse_normal(u)) as f32
+            })
+            .collect();
+        Self { table }
+    }
+
+    #[inline]
+    pub fn of(&self, u: f32) -> f32 {
+        let x = u.clamp(0.0, 1.0) * Self::STEPS as f32;
+        let i = (x as usize).min(Self::STEPS - 1);
+        self.table[i] + (self.table[i + 1] - self.table[i]) * (x - i as f32)
+    }
 }
 
 /// Inverse of the normal distribution function: bisection start, Newton steps on a series for Φ.
@@ -365,8 +527,8 @@ mod tests {
             spacing_mm: 0.25,
         };
         let sigma = spacing.map(|v| 0.63 / v);
-        let mut u = blur(&source, &grid, sigma);
-        edge_offset(&mut u, (0.63f64.powi(2) - 0.9f64.powi(2) / 12.0).sqrt());
+        let sigma_mm = (0.63f64.powi(2) - 0.9f64.powi(2) / 12.0).sqrt();
+        let u = Blur::new(&grid, sigma, sigma_mm).run(&source);
         for (n, v) in u.iter().enumerate() {
             let p = grid.position(grid.ijk(n));
             let expected = (to_index.apply(p)[2] - 12.5) * spacing[2];

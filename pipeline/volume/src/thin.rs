@@ -42,32 +42,25 @@ pub(crate) fn find(mask: &VoxelMask, values: &[f32], grid: &Grid, sigma_mm: f64,
     let dims = mask.dims;
     let uniform = Uniform::new(dims, &mask.data);
     let affine = &mask.affine;
-    let rows: Vec<(Vec<u32>, u64)> = (0..dims[1] * dims[2])
+    let rows: Vec<Vec<u32>> = (0..dims[1] * dims[2])
         .into_par_iter()
         .with_min_len(64)
         .map(|r| {
             let (j, k) = (r % dims[1], r / dims[1]);
             let mut out = Vec::new();
-            let mut lost = 0;
-            for ci in 0..uniform.dims[0] {
-                if uniform.at(ci, j, k) != MIXED {
-                    continue;
-                }
+            for ci in (0..uniform.dims[0]).filter(|&ci| uniform.at(ci, j, k) == MIXED) {
                 for i in ci * Uniform::EDGE..((ci + 1) * Uniform::EDGE).min(dims[0]) {
                     let v = i + dims[0] * r;
-                    let inside = mask.data[v] == 1;
                     let d = sample(values, grid, affine.apply([i as f64, j as f64, k as f64]));
-                    if (if inside { d } else { -d }) > tolerance_mm {
+                    if (if mask.data[v] == 1 { d } else { -d }) > tolerance_mm {
                         out.push(v as u32);
-                        lost += u64::from(inside);
                     }
                 }
             }
-            (out, lost)
+            out
         })
         .collect();
-    let lost = rows.iter().map(|r| r.1).sum();
-    let core: Vec<u32> = rows.into_iter().flat_map(|r| r.0).collect();
+    let core = rows.concat();
     let mut near: Vec<u32> = Vec::new();
     for &v in &core {
         let v = v as usize;
@@ -89,26 +82,42 @@ pub(crate) fn find(mask: &VoxelMask, values: &[f32], grid: &Grid, sigma_mm: f64,
     near.extend(sheets(&thin_voxels(mask, &uniform).0, dims));
     near.sort_unstable();
     near.dedup();
-    let held = near
-        .into_iter()
-        .map(|v| {
-            let n = v as usize;
-            let c = [n % dims[0], n / dims[0] % dims[1], n / (dims[0] * dims[1])].map(|x| x as f64);
-            // The logistic function stands in for Φ: it only steers the amplitude.
-            let d = sample(values, grid, affine.apply(c)) / sigma_mm;
-            (v, (1.0 / (1.0 + (1.702 * d).exp())) as f32)
-        })
-        .collect();
-    Thin { held, lost }
+    let mut out = Thin {
+        held: near.into_iter().map(|v| (v, 0.0)).collect(),
+        lost: 0,
+    };
+    out.measure(mask, values, grid, sigma_mm, tolerance_mm);
+    out
 }
 
 impl Thin {
-    /// Raises the amplitudes of held voxels in `codes`; `true` where any changed.
-    pub fn raise(&self, mask: &VoxelMask, codes: &mut [u8]) -> bool {
+    /// Reads the blurred values at the held voxels anew, and counts those still lost.
+    pub fn measure(
+        &mut self,
+        mask: &VoxelMask,
+        values: &[f32],
+        grid: &Grid,
+        sigma_mm: f64,
+        tolerance_mm: f64,
+    ) {
+        let dims = mask.dims;
+        self.lost = 0;
+        for (v, u) in &mut self.held {
+            let n = *v as usize;
+            let c = [n % dims[0], n / dims[0] % dims[1], n / (dims[0] * dims[1])].map(|x| x as f64);
+            let d = sample(values, grid, mask.affine.apply(c));
+            // The logistic function stands in for Φ: it only steers the amplitude.
+            *u = (1.0 / (1.0 + (1.702 * d / sigma_mm).exp())) as f32;
+            self.lost += u64::from(mask.data[n] == 1 && d > tolerance_mm);
+        }
+    }
+
+    /// Raises the amplitudes of held voxels in `codes`; returns the voxels that changed.
+    pub fn raise(&self, mask: &VoxelMask, codes: &mut [u8]) -> Vec<u32> {
         let table = amplitudes();
-        let mut changed = false;
-        for &(v, u) in &self.held {
-            let v = v as usize;
+        let mut changed = Vec::new();
+        for &(voxel, u) in &self.held {
+            let v = voxel as usize;
             let a = table[codes[v] as usize];
             let code = if mask.data[v] == 1 {
                 let want = (a * (HELD / u.max(0.15)).clamp(1.0, 2.5)).min(MOST);
@@ -119,8 +128,10 @@ impl Thin {
                 let steps = (-want * STEPS).round().clamp(0.0, f32::from(u8::MAX - CLEFT));
                 if steps < 1.0 { 0 } else { CLEFT - 1 + steps as u8 }
             };
-            changed |= codes[v] != code;
-            codes[v] = code;
+            if codes[v] != code {
+                codes[v] = code;
+                changed.push(voxel);
+            }
         }
         changed
     }

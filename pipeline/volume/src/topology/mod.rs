@@ -46,6 +46,13 @@ pub(crate) fn euler(inside: &[u8], dims: [usize; 3]) -> i64 {
             let mut column = vec![0u8; nx + 2];
             let mut sum = 0i64;
             for j in -1..ny as isize {
+                let rows = [(j, k), (j + 1, k), (j, k + 1), (j + 1, k + 1)];
+                if rows
+                    .iter()
+                    .all(|&(j, k)| at(j, k).is_none_or(|r| r.iter().fold(0, |a, v| a | v) == 0))
+                {
+                    continue;
+                }
                 column.fill(0);
                 for (bit, (j, k)) in [(j, k), (j + 1, k), (j, k + 1), (j + 1, k + 1)]
                     .into_iter()
@@ -111,9 +118,18 @@ pub(crate) fn simplify(
     let start = shape(inside, dims);
     let mut now = start;
     // Most noise is far narrower than the limit, and a narrow band is quick to search.
-    for share in [0.3, 1.0] {
+    for (share, rounds) in [(0.3, 2), (1.0, ROUNDS)] {
         if now.handles() > 0 {
-            now = simplify_within(inside, dims, depth, share * reach, may_fill, now, &mut done);
+            now = simplify_within(
+                inside,
+                dims,
+                depth,
+                share * reach,
+                rounds,
+                may_fill,
+                now,
+                &mut done,
+            );
         }
     }
     if !done.is_empty() {
@@ -127,15 +143,13 @@ fn simplify_within(
     dims: [usize; 3],
     depth: &[f32],
     reach: f32,
+    rounds: usize,
     may_fill: &(dyn Fn(usize) -> bool + Sync),
     start: Shape,
     done: &mut Vec<Edit>,
 ) -> Shape {
     let mut before = start;
-    for round in 0..ROUNDS {
-        if round > 0 {
-            before = shape(inside, dims);
-        }
+    for _ in 0..rounds {
         if before.handles() <= 0 {
             break;
         }
@@ -168,45 +182,52 @@ fn simplify_within(
                 break;
             }
         }
-        if applied == 0 {
-            // No single edit helps: take all cuts or all fills, whichever changes less, if that helps.
-            let size = |fill| {
-                waiting
-                    .iter()
-                    .filter(|e| e.fill == fill)
-                    .map(|e| e.samples.len())
-                    .sum::<usize>()
-            };
-            let cut_first = size(false) > 0 && (size(false) <= size(true) || size(true) == 0);
-            let mut helped = false;
-            for fill in [!cut_first, cut_first] {
-                let mut all: Vec<u32> = waiting
-                    .iter()
-                    .filter(|e| e.fill == fill)
-                    .flat_map(|e| e.samples.clone())
-                    .collect();
-                if all.is_empty() {
-                    continue;
-                }
-                all.sort_unstable();
-                all.iter().for_each(|&n| inside[n as usize] = u8::from(fill));
-                let after = shape(inside, dims);
-                if after.handles() < before.handles()
-                    && after.components <= before.components
-                    && after.voids <= before.voids
-                {
-                    done.push(Edit { fill, samples: all });
-                    helped = true;
-                    break;
-                }
-                all.iter().for_each(|&n| inside[n as usize] = u8::from(!fill));
-            }
-            if !helped {
-                break;
-            }
+        if applied == 0 && (rounds < ROUNDS || !take_all(inside, dims, &waiting, before, done)) {
+            break;
         }
+        before = shape(inside, dims);
     }
     before
+}
+
+/// Where no single edit helps: all cuts or all fills together, whichever changes less, if that helps.
+fn take_all(
+    inside: &mut [u8],
+    dims: [usize; 3],
+    waiting: &[Edit],
+    before: Shape,
+    done: &mut Vec<Edit>,
+) -> bool {
+    let size = |fill| {
+        waiting
+            .iter()
+            .filter(|e| e.fill == fill)
+            .map(|e| e.samples.len())
+            .sum::<usize>()
+    };
+    let cut_first = size(false) > 0 && (size(false) <= size(true) || size(true) == 0);
+    for fill in [!cut_first, cut_first] {
+        let mut all: Vec<u32> = waiting
+            .iter()
+            .filter(|e| e.fill == fill)
+            .flat_map(|e| e.samples.clone())
+            .collect();
+        if all.is_empty() {
+            continue;
+        }
+        all.sort_unstable();
+        all.iter().for_each(|&n| inside[n as usize] = u8::from(fill));
+        let after = shape(inside, dims);
+        if after.handles() < before.handles()
+            && after.components <= before.components
+            && after.voids <= before.voids
+        {
+            done.push(Edit { fill, samples: all });
+            return true;
+        }
+        all.iter().for_each(|&n| inside[n as usize] = u8::from(!fill));
+    }
+    false
 }
 
 /// Edits that were sound one by one can enclose a void or strand a part together: the smallest new ones go.
