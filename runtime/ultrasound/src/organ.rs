@@ -1,0 +1,300 @@
+use crate::vector::{Vec3, add, apply, barycentric_rows, dot, inverse, mix, sub, wide};
+use crate::{TissueTable, UltrasoundError};
+use palpate_package::{Affine34, ModelPackage};
+
+/// What an image needs of one model package: rest embedding mesh, CT values and labels.
+///
+/// In packages without CT every voxel gets the nominal CT value of its label's tissue.
+#[derive(Clone, Debug)]
+pub struct Organ {
+    pub(crate) name: String,
+    pub(crate) origin_mm: Vec3,
+    pub(crate) rest: Vec<[f32; 3]>,
+    pub(crate) tets: Vec<[u32; 4]>,
+    pub(crate) volume: Volume,
+    /// Names of label values 1, 2, …: regions, then supports.
+    pub(crate) label_names: Vec<String>,
+    pub(crate) regions: usize,
+    pub(crate) nominal: bool,
+}
+
+/// CT values and labels on one voxel grid; index i + dims[0]·(j + dims[1]·k).
+#[derive(Clone, Debug)]
+pub(crate) struct Volume {
+    pub(crate) dims: [usize; 3],
+    /// Patient mm → voxel index.
+    pub(crate) to_index: Affine34,
+    /// Voxel index → patient mm.
+    pub(crate) to_patient: Affine34,
+    pub(crate) hu: Vec<i16>,
+    pub(crate) label: Vec<u8>,
+}
+
+impl Organ {
+    /// Prepares a package; `tissues` gives the nominal CT values where it has none.
+    ///
+    /// # Errors
+    /// Arrays that contradict each other (a package that `verify` accepts has none), an unknown tissue.
+    pub fn new(package: &ModelPackage, tissues: &TissueTable) -> Result<Self, UltrasoundError> {
+        let name = package.info.regions.first().cloned().unwrap_or_default();
+        let fault = |what, found: String, expected: &str| UltrasoundError::Package {
+            organ: name.clone(),
+            what,
+            found,
+            expected: expected.to_owned(),
+        };
+        tissues.check()?;
+        let origin_mm = package.info.local_origin_mm;
+        if !origin_mm.iter().all(|v| v.is_finite()) {
+            return Err(fault("local_origin_mm", format!("{origin_mm:?}"), "finite mm"));
+        }
+        let mesh = &package.embedding;
+        if mesh.tets.is_empty() {
+            return Err(fault("embedding/tets", "none".into(), "at least one"));
+        }
+        let n = mesh.vertices.len();
+        if let Some(t) = mesh.tets.iter().find(|t| t.iter().any(|&v| v as usize >= n)) {
+            return Err(fault(
+                "embedding/tets",
+                format!("{t:?}"),
+                &format!("vertices below {n}"),
+            ));
+        }
+        for t in &mesh.tets {
+            if barycentric_rows(t.map(|v| wide(mesh.vertices[v as usize]))).is_none() {
+                return Err(fault(
+                    "embedding/tets",
+                    format!("{t:?} of no volume"),
+                    "positive volumes at rest",
+                ));
+            }
+        }
+        let labels = &package.labels;
+        let cells = |d: [usize; 3]| d.iter().try_fold(1usize, |n, &v| n.checked_mul(v)).unwrap_or(0);
+        let count = cells(labels.dims);
+        if count == 0 || labels.data.len() != count {
+            return Err(fault(
+                "labels/data",
+                format!("{} voxels for {:?}", labels.data.len(), labels.dims),
+                "one per cell of a grid that is not empty",
+            ));
+        }
+        let mut nominal_hu = vec![tissues.of_surroundings()?.nominal_hu];
+        for label in &labels.names {
+            nominal_hu.push(tissues.of_region(label)?.nominal_hu);
+        }
+        if let Some(&v) = labels.data.iter().find(|&&v| usize::from(v) >= nominal_hu.len()) {
+            return Err(fault(
+                "labels/data",
+                format!("value {v}"),
+                &format!("values up to {}", nominal_hu.len() - 1),
+            ));
+        }
+        let label_to_index = inverse(&labels.affine)
+            .ok_or_else(|| fault("labels/affine", format!("{:?}", labels.affine), "invertible"))?;
+        let volume = match &package.ct {
+            None => Volume::new(
+                labels.dims,
+                labels.affine,
+                label_to_index,
+                labels.data.iter().map(|&v| nominal_hu[usize::from(v)]).collect(),
+                labels.data.clone(),
+            ),
+            Some(ct) => {
+                if ct.hu.len() != cells(ct.dims) || ct.hu.is_empty() {
+                    return Err(fault(
+                        "ct/hu",
+                        format!("{} voxels for {:?}", ct.hu.len(), ct.dims),
+                        "one per cell of a grid that is not empty",
+                    ));
+                }
+                let to_index = inverse(&ct.affine)
+                    .ok_or_else(|| fault("ct/affine", format!("{:?}", ct.affine), "invertible"))?;
+                let label = if (ct.dims, ct.affine) == (labels.dims, labels.affine) {
+                    labels.data.clone()
+                } else {
+                    onto(ct.dims, &ct.affine, labels.dims, &label_to_index, &labels.data)
+                };
+                Volume::new(ct.dims, ct.affine, to_index, ct.hu.clone(), label)
+            }
+        };
+        Ok(Self {
+            name,
+            origin_mm,
+            rest: mesh.vertices.clone(),
+            tets: mesh.tets.clone(),
+            volume,
+            label_names: labels.names.clone(),
+            regions: package.info.regions.len(),
+            nominal: package.ct.is_none(),
+        })
+    }
+
+    /// Name of the organ.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Number of embedding vertices that a deformation has.
+    pub fn vertex_count(&self) -> usize {
+        self.rest.len()
+    }
+
+    /// Rest positions of the embedding vertices, local mm.
+    pub fn rest_vertices(&self) -> &[[f32; 3]] {
+        &self.rest
+    }
+
+    /// Names of the label values 1, 2, …: the regions, then the supports.
+    pub fn label_names(&self) -> &[String] {
+        &self.label_names
+    }
+
+    /// Whether the CT values are nominal ones by label.
+    pub fn is_nominal(&self) -> bool {
+        self.nominal
+    }
+
+    /// Where the embedding carries a rest point: patient mm to patient mm. `None` outside of the rest mesh, or where the
+    /// positions do not fit.
+    ///
+    /// Tests every tet; made for fiducials and checks. A point on a shared face belongs to the lowest tet.
+    pub fn deform_point(&self, deformed_local: &[[f32; 3]], rest_mm: [f64; 3]) -> Option<[f64; 3]> {
+        if deformed_local.len() != self.rest.len() {
+            return None;
+        }
+        let p = sub(rest_mm, self.origin_mm);
+        for t in &self.tets {
+            let x = t.map(|v| wide(self.rest[v as usize]));
+            let Some(rows) = barycentric_rows(x) else { continue };
+            let d = sub(p, x[0]);
+            let l = rows.map(|r| dot(r, d));
+            if l.iter().all(|&v| v >= -1e-9) && l.iter().sum::<f64>() <= 1.0 + 1e-9 {
+                let y = t.map(|v| wide(deformed_local[v as usize]));
+                return Some(add(mix(y, l), self.origin_mm));
+            }
+        }
+        None
+    }
+
+    /// Label and CT value at a rest point (patient mm); `None` outside of the scan's crop. The label is the nearest
+    /// voxel's, the CT value trilinear.
+    pub fn at_rest(&self, rest_mm: [f64; 3]) -> Option<(u8, f32)> {
+        let index = apply(&self.volume.to_index, rest_mm).map(|v| v as f32);
+        self.volume
+            .holds(index)
+            .then(|| (self.volume.label_at(index), self.volume.hu_at(index)))
+    }
+}
+
+/// Labels of the nearest voxels of another grid; 0 outside of it.
+fn onto(
+    dims: [usize; 3],
+    affine: &Affine34,
+    from_dims: [usize; 3],
+    from_index: &Affine34,
+    from: &[u8],
+) -> Vec<u8> {
+    let mut out = Vec::with_capacity(dims.iter().product());
+    for k in 0..dims[2] {
+        for j in 0..dims[1] {
+            for i in 0..dims[0] {
+                let p = apply(from_index, apply(affine, [i as f64, j as f64, k as f64]));
+                let inside = (0..3).all(|a| p[a] >= -0.5 && p[a] < from_dims[a] as f64 - 0.5);
+                out.push(if inside {
+                    let [i, j, k] = p.map(|v| (v + 0.5) as usize);
+                    from[i + from_dims[0] * (j + from_dims[1] * k)]
+                } else {
+                    0
+                });
+            }
+        }
+    }
+    out
+}
+
+impl Volume {
+    pub(crate) fn new(
+        dims: [usize; 3],
+        to_patient: Affine34,
+        to_index: Affine34,
+        hu: Vec<i16>,
+        label: Vec<u8>,
+    ) -> Self {
+        Self {
+            dims,
+            to_index,
+            to_patient,
+            hu,
+            label,
+        }
+    }
+
+    /// Whether an index lies in the grid or within half a voxel of it.
+    #[inline]
+    pub(crate) fn holds(&self, index: [f32; 3]) -> bool {
+        (0..3).all(|a| index[a] >= -0.5 && index[a] <= self.dims[a] as f32 - 0.5)
+    }
+
+    /// Offset of the lower corner, and the weights of the upper ones; clamped to the grid.
+    #[inline(always)]
+    pub(crate) fn corner(&self, index: [f32; 3]) -> ([usize; 3], [f32; 3], [usize; 3]) {
+        let mut lower = [0; 3];
+        let mut weight = [0.0; 3];
+        let mut step = [0; 3];
+        let stride = [1, self.dims[0], self.dims[0] * self.dims[1]];
+        for a in 0..3 {
+            let last = self.dims[a] - 1;
+            // Not a number becomes 0 here.
+            let v = index[a].max(0.0).min(last as f32);
+            let n = (v as usize).min(last);
+            lower[a] = n;
+            weight[a] = v - n as f32;
+            step[a] = if n < last { stride[a] } else { 0 };
+        }
+        (lower, weight, step)
+    }
+
+    /// Trilinear CT value at an index, clamped to the grid.
+    #[inline]
+    pub(crate) fn hu_at(&self, index: [f32; 3]) -> f32 {
+        let (lower, weight, step) = self.corner(index);
+        let n = lower[0] + self.dims[0] * (lower[1] + self.dims[1] * lower[2]);
+        trilinear(&self.hu, n, weight, step)
+    }
+
+    /// Label of the nearest voxel, clamped to the grid.
+    #[inline]
+    pub(crate) fn label_at(&self, index: [f32; 3]) -> u8 {
+        let at = |a: usize| ((index[a] + 0.5).max(0.0) as usize).min(self.dims[a] - 1);
+        self.label[at(0) + self.dims[0] * (at(1) + self.dims[1] * at(2))]
+    }
+
+    /// Whether any of the eight voxels around an index has a label from 1 to `regions`.
+    pub(crate) fn touches_region(&self, index: [f32; 3], regions: usize) -> bool {
+        let (lower, _, step) = self.corner(index);
+        let n = lower[0] + self.dims[0] * (lower[1] + self.dims[1] * lower[2]);
+        (0..8).any(|c| {
+            let m = n + [0, 1, 2]
+                .map(|a| if c >> a & 1 == 1 { step[a] } else { 0 })
+                .iter()
+                .sum::<usize>();
+            let l = usize::from(self.label[m]);
+            l >= 1 && l <= regions
+        })
+    }
+}
+
+#[inline(always)]
+pub(crate) fn trilinear(hu: &[i16], n: usize, w: [f32; 3], step: [usize; 3]) -> f32 {
+    let row = |m: usize| {
+        let (a, b) = (f32::from(hu[m]), f32::from(hu[m + step[0]]));
+        a + w[0] * (b - a)
+    };
+    let sheet = |m: usize| {
+        let (a, b) = (row(m), row(m + step[1]));
+        a + w[1] * (b - a)
+    };
+    let (a, b) = (sheet(n), sheet(n + step[2]));
+    a + w[2] * (b - a)
+}
