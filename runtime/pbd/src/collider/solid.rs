@@ -1,0 +1,258 @@
+//! Triangle mesh prepared for contact.
+
+use super::grid::SignedDistanceGrid;
+use super::{LocalContact, LocalContacts, Motion};
+use crate::TriangleMesh;
+use crate::bvh::{Bvh, Feature, Nearest, closest_on_triangle};
+use glam::Vec3;
+
+/// Nodes of the grid that tells far particles from near ones.
+const GRID_NODES: f32 = 150_000.0;
+/// Contacts that one mesh may give a particle; the deepest are kept.
+const MOST: usize = 6;
+
+/// Triangles with everything that contact asks of them.
+#[derive(Clone, Debug)]
+pub(crate) struct MeshSolid {
+    corners: Vec<[Vec3; 3]>,
+    triangles: Vec<[u32; 3]>,
+    normals: Vec<Vec3>,
+    bvh: Bvh,
+    /// Across edge k of each triangle; `u32::MAX` at a border.
+    neighbours: Vec<[u32; 3]>,
+    /// Triangles around each vertex, in compressed rows.
+    fan_offsets: Vec<u32>,
+    fan: Vec<u32>,
+    vertex_normals: Vec<Vec3>,
+    closed: bool,
+    bounds: (Vec3, Vec3),
+}
+
+impl MeshSolid {
+    pub(crate) fn new(mesh: &TriangleMesh) -> Self {
+        // Triangles without area have no side to push to.
+        let area = |t: usize| {
+            let [a, b, c] = mesh.corners(t);
+            (b - a).cross(c - a).length()
+        };
+        let keep: Vec<usize> = (0..mesh.triangles.len()).filter(|&t| area(t) > 1e-12).collect();
+        let corners: Vec<[Vec3; 3]> = keep.iter().map(|&t| mesh.corners(t)).collect();
+        let triangles: Vec<[u32; 3]> = keep.iter().map(|&t| mesh.triangles[t]).collect();
+        let normals: Vec<Vec3> = corners
+            .iter()
+            .map(|[a, b, c]| (b - a).cross(c - a).normalize_or(Vec3::Z))
+            .collect();
+        let mut edges: Vec<(u32, u32, u32, u8)> = Vec::with_capacity(3 * triangles.len());
+        for (t, v) in triangles.iter().enumerate() {
+            for k in 0..3 {
+                edges.push((v[k], v[(k + 1) % 3], t as u32, k as u8));
+            }
+        }
+        edges.sort_unstable();
+        let mut neighbours = vec![[u32::MAX; 3]; triangles.len()];
+        for &(a, b, t, k) in &edges {
+            let at = edges.partition_point(|e| (e.0, e.1) < (b, a));
+            if let Some(e) = edges.get(at).filter(|e| (e.0, e.1) == (b, a)) {
+                neighbours[t as usize][k as usize] = e.2;
+            }
+        }
+        let n = mesh.vertices.len();
+        let mut fan_offsets = vec![0u32; n + 1];
+        for v in triangles.iter().flatten() {
+            fan_offsets[*v as usize + 1] += 1;
+        }
+        for v in 0..n {
+            fan_offsets[v + 1] += fan_offsets[v];
+        }
+        let mut next = fan_offsets.clone();
+        let mut fan = vec![0u32; 3 * triangles.len()];
+        let mut vertex_normals = vec![Vec3::ZERO; n];
+        for (t, v) in triangles.iter().enumerate() {
+            for k in 0..3 {
+                let slot = &mut next[v[k] as usize];
+                fan[*slot as usize] = t as u32;
+                *slot += 1;
+                let p = corners[t];
+                let (e, f) = (p[(k + 1) % 3] - p[k], p[(k + 2) % 3] - p[k]);
+                // Weighted by angle: the sign of the distance is then right at every vertex (Bærentzen 2005).
+                vertex_normals[v[k] as usize] += normals[t] * e.angle_between(f);
+            }
+        }
+        for v in &mut vertex_normals {
+            *v = v.normalize_or(Vec3::Z);
+        }
+        Self {
+            bvh: Bvh::build(&corners),
+            closed: mesh.is_closed(),
+            bounds: mesh.bounds(),
+            corners,
+            triangles,
+            normals,
+            neighbours,
+            fan_offsets,
+            fan,
+            vertex_normals,
+        }
+    }
+
+    pub(crate) fn bounds(&self) -> (Vec3, Vec3) {
+        self.bounds
+    }
+
+    /// Triangle nearest to `p` and the signed distance. Indices are those of the mesh as long as none of its triangles
+    /// lacks area.
+    pub(crate) fn nearest_triangle(&self, p: Vec3) -> Option<(u32, f32)> {
+        let (t, q) = self.bvh.nearest(p, &self.corners)?;
+        let d = p - q.point;
+        let sign = if d.dot(self.pseudo_normal(t as usize, q.feature)) < 0.0 {
+            -1.0
+        } else {
+            1.0
+        };
+        Some((t, d.length() * sign))
+    }
+
+    pub(crate) fn triangle_count(&self) -> usize {
+        self.triangles.len()
+    }
+
+    /// Normal at a place on triangle `t`: of the face, or the angle-weighted one of the edge or vertex.
+    fn pseudo_normal(&self, t: usize, feature: Feature) -> Vec3 {
+        match feature {
+            Feature::Face => self.normals[t],
+            Feature::Edge(k) => {
+                let other = self.neighbours[t][k as usize];
+                let n = self.normals.get(other as usize).copied().unwrap_or(Vec3::ZERO);
+                (self.normals[t] + n).normalize_or(self.normals[t])
+            }
+            Feature::Corner(k) => self.vertex_normals[self.triangles[t][k as usize] as usize],
+        }
+    }
+
+    /// Distance from `p`, negative behind the nearest face.
+    pub(crate) fn distance(&self, p: Vec3) -> f32 {
+        self.nearest_triangle(p).map_or(f32::MAX, |(_, d)| d)
+    }
+
+    /// Whether no triangle at the edge or vertex of `q` is nearer to `p` than `q` itself: then `p` lies in the
+    /// Voronoi region of that edge or vertex.
+    fn owns(&self, t: usize, q: &Nearest, p: Vec3) -> bool {
+        let d2 = q.point.distance_squared(p);
+        let nearer = |u: u32| {
+            closest_on_triangle(p, self.corners[u as usize])
+                .point
+                .distance_squared(p)
+                < d2 * (1.0 - 1e-4)
+        };
+        match q.feature {
+            Feature::Face => true,
+            Feature::Edge(k) => {
+                let other = self.neighbours[t][k as usize];
+                other == u32::MAX || !nearer(other)
+            }
+            Feature::Corner(k) => {
+                let v = self.triangles[t][k as usize] as usize;
+                let fan = self.fan_offsets[v] as usize..self.fan_offsets[v + 1] as usize;
+                !self.fan[fan].iter().any(|&u| u as usize != t && nearer(u))
+            }
+        }
+    }
+
+    /// Contacts of a particle that goes from `a` to `b` and keeps the distance `d`.
+    pub(crate) fn contacts(&self, grid: &SignedDistanceGrid, motion: &Motion, out: &mut LocalContacts) {
+        let Motion {
+            a,
+            b,
+            distance: d,
+            reach,
+        } = *motion;
+        if grid.distance_bound(b) > reach + a.distance(b) {
+            return;
+        }
+        let mut found = [(0f32, LocalContact::default()); MOST];
+        let mut count = 0;
+        let mut keep = |contact: LocalContact| {
+            let c = contact.normal.dot(b - contact.point);
+            if let Some(i) = (0..count).find(|&i| found[i].1.normal.dot(contact.normal) > 0.999) {
+                if c < found[i].0 {
+                    found[i] = (c, contact);
+                }
+            } else if count < MOST {
+                found[count] = (c, contact);
+                count += 1;
+            } else {
+                let worst = (0..MOST).fold(0, |w, i| if found[i].0 > found[w].0 { i } else { w });
+                if c < found[worst].0 {
+                    found[worst] = (c, contact);
+                }
+            }
+        };
+        let mut ahead = false;
+        self.bvh.overlapping(a.min(b) - reach, a.max(b) + reach, |t| {
+            let t = t as usize;
+            let corners = self.corners[t];
+            let n = self.normals[t];
+            let (sa, sb) = (n.dot(a - corners[0]), n.dot(b - corners[0]));
+            if sa >= 0.0 && sb < 0.0 {
+                let hit = a + (b - a) * (sa / (sa - sb));
+                if closest_on_triangle(hit, corners).point.distance_squared(hit) < 1e-8 {
+                    keep(LocalContact {
+                        normal: n,
+                        point: hit,
+                    });
+                    ahead = true;
+                    return;
+                }
+            }
+            if sa < -0.5 * d {
+                return;
+            }
+            let q = closest_on_triangle(b, corners);
+            let d2 = q.point.distance_squared(b);
+            if d2 >= reach * reach || !self.owns(t, &q, b) {
+                return;
+            }
+            ahead = true;
+            if q.feature == Feature::Face {
+                keep(LocalContact {
+                    normal: n,
+                    point: q.point,
+                });
+                return;
+            }
+            let pseudo = self.pseudo_normal(t, q.feature);
+            let away = b - q.point;
+            let side = if away.dot(pseudo) < 0.0 { -1.0 } else { 1.0 };
+            let length = d2.sqrt();
+            let normal = if length > 1e-4 {
+                away * (side / length)
+            } else {
+                pseudo
+            };
+            keep(LocalContact {
+                normal,
+                point: q.point,
+            });
+        });
+        if !ahead && self.closed && grid.distance(a) < -0.5 * d {
+            let normal = grid.normal(b);
+            keep(LocalContact {
+                normal,
+                point: b - normal * grid.distance(b),
+            });
+        }
+        for (_, contact) in &found[..count] {
+            out.push(*contact);
+        }
+    }
+
+    /// Grid of distances, coarse enough to stay small; signed for a closed mesh.
+    pub(crate) fn grid(&self) -> Result<SignedDistanceGrid, crate::PbdError> {
+        let (lo, hi) = self.bounds;
+        let size = hi - lo;
+        let longest = size.max_element().max(1e-3);
+        let volume = size.max(Vec3::splat(0.05 * longest)).element_product();
+        let cell = (volume / GRID_NODES).cbrt().max(longest / 400.0);
+        SignedDistanceGrid::sample(self, cell, 2.0 * cell)
+    }
+}

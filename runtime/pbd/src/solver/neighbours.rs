@@ -1,0 +1,294 @@
+//! Particle contacts: neighbour lists, candidates once per substep, corrections.
+
+use super::CHUNK;
+use super::particles::{ClampCounts, Particles};
+use crate::grid::PointGrid;
+use glam::Vec3A;
+use rayon::prelude::*;
+
+/// Contact range of a body.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Range {
+    /// Half of the distance at which two of its particles touch.
+    pub half_contact: f32,
+    /// Half of the margin.
+    pub half_margin: f32,
+    /// Half of the skin of the neighbour lists.
+    pub half_skin: f32,
+}
+
+/// Lists of near particles that live for several substeps, and the candidates of the present one.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Neighbours {
+    grid: PointGrid,
+    /// Predicted positions when the lists were made.
+    base: Vec<Vec3A>,
+    /// Fixed-width rows of particles within range and skin, ascending.
+    near: Vec<u32>,
+    near_count: Vec<u32>,
+    near_width: usize,
+    /// Fixed-width rows of candidates for contact, ascending.
+    candidates: Vec<u32>,
+    candidate_count: Vec<u32>,
+    width: usize,
+    /// Whether a chunk holds any candidate, and whether a row of `near` was full.
+    busy: Vec<bool>,
+    full: Vec<bool>,
+    moved2: Vec<f32>,
+    stale: bool,
+    pub any: bool,
+    pub rebuilds: u64,
+}
+
+/// Settings of particle contacts.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct PairContact<'a> {
+    pub ranges: &'a [Range],
+    pub rest_filter: bool,
+    pub friction: f32,
+    pub static_friction: f32,
+}
+
+impl PairContact<'_> {
+    fn largest(&self, of: impl Fn(&Range) -> f32) -> f32 {
+        2.0 * self.ranges.iter().map(of).fold(0.0, f32::max)
+    }
+}
+
+impl Neighbours {
+    pub(super) fn new(particles: usize, width: usize) -> Self {
+        let near_width = 2 * width;
+        let chunks = particles.div_ceil(CHUNK);
+        Self {
+            grid: PointGrid::with_capacity(particles),
+            base: vec![Vec3A::ZERO; particles],
+            near: vec![0; particles * near_width],
+            near_count: vec![0; particles],
+            near_width,
+            candidates: vec![0; particles * width],
+            candidate_count: vec![0; particles],
+            width,
+            busy: vec![false; chunks],
+            full: vec![false; chunks],
+            moved2: vec![0.0; chunks],
+            stale: true,
+            any: false,
+            rebuilds: 0,
+        }
+    }
+
+    /// Forgets the lists.
+    pub(super) fn invalidate(&mut self) {
+        self.stale = true;
+    }
+
+    pub(super) fn row(&self, i: usize) -> &[u32] {
+        &self.candidates[i * self.width..i * self.width + self.candidate_count[i] as usize]
+    }
+
+    /// Lists of near particles, where they are out of date, and candidates within range at the predicted positions.
+    pub(super) fn find(&mut self, p: &Particles, how: &PairContact, counts: &mut [ClampCounts]) {
+        let contact = how.largest(|r| r.half_contact);
+        self.any = false;
+        if contact <= 0.0 || p.x.is_empty() {
+            return;
+        }
+        let x = &p.predicted;
+        if !self.stale {
+            (
+                self.moved2.par_iter_mut(),
+                self.base.par_chunks(CHUNK),
+                x.par_chunks(CHUNK),
+            )
+                .into_par_iter()
+                .for_each(|(moved2, base, x)| {
+                    *moved2 = base
+                        .iter()
+                        .zip(x)
+                        .fold(0f32, |m, (a, b)| m.max(a.distance_squared(*b)));
+                });
+            let moved = self.moved2.iter().fold(0f32, |m, &v| m.max(v)).sqrt();
+            // The smallest skin decides; a hair less, so that rounding cannot hide a pair.
+            let skin = how
+                .ranges
+                .iter()
+                .map(|r| r.half_skin)
+                .fold(f32::INFINITY, f32::min);
+            self.stale = moved >= 0.99 * skin || self.full.contains(&true);
+        }
+        if self.stale {
+            self.rebuild(p, how);
+        }
+        let (near, near_count, near_width) = (&self.near, &self.near_count, self.near_width);
+        let width = self.width;
+        (
+            self.candidates.par_chunks_mut(CHUNK * width),
+            self.candidate_count.par_chunks_mut(CHUNK),
+            self.busy.par_iter_mut(),
+            counts.par_iter_mut(),
+        )
+            .into_par_iter()
+            .enumerate()
+            .for_each(|(chunk, (rows, row_count, busy, counts))| {
+                *busy = false;
+                for (k, row_count) in row_count.iter_mut().enumerate() {
+                    let i = chunk * CHUNK + k;
+                    let a = &how.ranges[usize::from(p.body[i])];
+                    let mut n = 0;
+                    for &j in &near[i * near_width..i * near_width + near_count[i] as usize] {
+                        let b = &how.ranges[usize::from(p.body[j as usize])];
+                        let range = a.half_contact + a.half_margin + (b.half_contact + b.half_margin);
+                        if x[i].distance_squared(x[j as usize]) < range * range {
+                            if n == width {
+                                counts.particle_contacts += 1;
+                            } else {
+                                rows[k * width + n] = j;
+                                n += 1;
+                            }
+                        }
+                    }
+                    *row_count = n as u32;
+                    *busy |= n > 0;
+                }
+            });
+        self.any = self.busy.contains(&true);
+    }
+
+    fn rebuild(&mut self, p: &Particles, how: &PairContact) {
+        self.stale = false;
+        self.rebuilds += 1;
+        let x = &p.predicted;
+        self.base.copy_from_slice(x);
+        let reach = how.largest(|r| r.half_contact + r.half_margin + r.half_skin);
+        self.grid.fill(x, reach);
+        let (grid, width) = (&self.grid, self.near_width);
+        (
+            self.near.par_chunks_mut(CHUNK * width),
+            self.near_count.par_chunks_mut(CHUNK),
+            self.full.par_iter_mut(),
+        )
+            .into_par_iter()
+            .enumerate()
+            .for_each(|(chunk, (rows, row_count, full))| {
+                *full = false;
+                for (k, row_count) in row_count.iter_mut().enumerate() {
+                    let i = chunk * CHUNK + k;
+                    let row = &mut rows[k * width..(k + 1) * width];
+                    let a = &how.ranges[usize::from(p.body[i])];
+                    let mut n = 0;
+                    grid.around(x[i], |j, y| {
+                        let j = j as usize;
+                        if i == j {
+                            return true;
+                        }
+                        let b = &how.ranges[usize::from(p.body[j])];
+                        let contact = a.half_contact + b.half_contact;
+                        let range = contact + (a.half_margin + b.half_margin) + (a.half_skin + b.half_skin);
+                        if x[i].distance_squared(y) >= range * range {
+                            return true;
+                        }
+                        let filtered = how.rest_filter
+                            && p.body[i] == p.body[j]
+                            && p.rest[i].distance_squared(p.rest[j]) < contact * contact;
+                        if filtered || (p.inverse_mass[i] == 0.0 && p.inverse_mass[j] == 0.0) {
+                            return true;
+                        }
+                        if n == width {
+                            *full = true;
+                            return false;
+                        }
+                        row[n] = j as u32;
+                        n += 1;
+                        true
+                    });
+                    // Index order, whatever the cells were: sums then do not depend on when a list was made.
+                    row[..n].sort_unstable();
+                    *row_count = n as u32;
+                }
+            });
+    }
+
+    /// Sums the corrections of particle contacts at the positions `at` into `p.correction`, with their counts.
+    /// Friction acts on the displacement since `p.x` where `friction` is set.
+    pub(super) fn correct(&self, p: &mut Particles, how: &PairContact, at_start: bool) {
+        let Particles {
+            x,
+            predicted,
+            contact_weight,
+            inverse_mass,
+            body,
+            correction,
+            correction_count,
+            ..
+        } = p;
+        let at: &[Vec3A] = if at_start { x } else { predicted };
+        let start: &[Vec3A] = x;
+        let (body, weight, inverse_mass) = (&*body, &*contact_weight, &*inverse_mass);
+        (
+            correction.par_chunks_mut(CHUNK),
+            correction_count.par_chunks_mut(CHUNK),
+            self.busy.par_iter(),
+        )
+            .into_par_iter()
+            .enumerate()
+            .for_each(|(chunk, (correction, count, &busy))| {
+                correction.fill(Vec3A::ZERO);
+                count.fill(0);
+                if !busy {
+                    return;
+                }
+                for k in 0..correction.len() {
+                    let i = chunk * CHUNK + k;
+                    if inverse_mass[i] == 0.0 {
+                        continue;
+                    }
+                    let a = &how.ranges[usize::from(body[i])];
+                    for &j in self.row(i) {
+                        let j = j as usize;
+                        let b = &how.ranges[usize::from(body[j])];
+                        let contact = a.half_contact + b.half_contact;
+                        let apart = at[i] - at[j];
+                        let d2 = apart.length_squared();
+                        if d2 >= contact * contact {
+                            continue;
+                        }
+                        let distance = d2.sqrt();
+                        let normal = if distance > 1e-6 {
+                            apart / distance
+                        } else {
+                            arbitrary_axis(i, j)
+                        };
+                        let depth = contact - distance;
+                        let share = weight[i] / (weight[i] + weight[j]);
+                        let mut dx = normal * depth;
+                        if !at_start {
+                            let u = (at[i] - start[i]) - (at[j] - start[j]);
+                            dx -= friction(u, normal, depth, how.static_friction, how.friction);
+                        }
+                        correction[k] += dx * share;
+                        count[k] += 1;
+                    }
+                }
+            });
+    }
+}
+
+/// Direction from particle `j` to `i` where both are in one place: an axis by index parity, opposite for the other.
+fn arbitrary_axis(i: usize, j: usize) -> Vec3A {
+    let axis = [Vec3A::X, Vec3A::Y, Vec3A::Z][(i + j) % 3];
+    if i < j { axis } else { -axis }
+}
+
+/// Tangential displacement that Coulomb friction takes back: all of it below static·depth, else dynamic·depth of it.
+#[inline]
+pub(super) fn friction(u: Vec3A, normal: Vec3A, depth: f32, fixed: f32, sliding: f32) -> Vec3A {
+    let tangential = u - normal * u.dot(normal);
+    let length = tangential.length();
+    if length < fixed * depth {
+        tangential
+    } else if length > 0.0 {
+        tangential * (sliding * depth / length).min(1.0)
+    } else {
+        Vec3A::ZERO
+    }
+}

@@ -1,0 +1,425 @@
+//! Contacts with shapes: planes found once per substep, corrections, momentum.
+
+use super::CHUNK;
+use super::neighbours::friction;
+use super::particles::{ClampCounts, Particles};
+use crate::collider::{LocalContacts, Motion, PreparedShape};
+use crate::{Collider, PbdError, Pose, Settings};
+use glam::{DVec3, Mat3A, Quat, Vec3, Vec3A};
+use rayon::prelude::*;
+
+/// Contact planes of a particle, at most.
+pub(super) const SLOTS: usize = 6;
+
+/// A plane that a particle must stay in front of during the substep.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct PlaneContact {
+    pub normal: Vec3,
+    /// normal·x of a particle that just touches: the collision distance is included.
+    pub offset: f32,
+    /// Displacement of the shape's surface over the substep.
+    pub drift: Vec3,
+    pub solid: u32,
+}
+
+/// A collider in the solver.
+#[derive(Clone, Debug)]
+pub(super) struct Solid {
+    pub name: String,
+    pub shape: PreparedShape,
+    pub moving: bool,
+    pub friction: f32,
+    pub static_friction: f32,
+    pub distance_mm: Option<f32>,
+    /// Pose at the end of the last step, and at the end of the next.
+    pub from: Pose,
+    pub to: Pose,
+    way: Way,
+}
+
+/// Poses of a solid over one substep.
+#[derive(Clone, Copy, Debug, Default)]
+struct Way {
+    from: Pose,
+    to: Pose,
+    turn_back: [Mat3A; 2],
+    /// World box of the shape over the substep.
+    lo: Vec3A,
+    hi: Vec3A,
+}
+
+/// What one chunk of particles gave to one solid.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Exchange {
+    /// Σ mass · displacement of particles, g·mm.
+    pub push: DVec3,
+    /// Σ (position − origin of the solid) × the same.
+    pub twist: DVec3,
+    /// Part of the push along the contact normals.
+    pub normal: f64,
+    pub contacts: u64,
+    pub area_mm2: f64,
+    pub depth_mm: f32,
+}
+
+/// All solids and the contacts of the present substep.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Solids {
+    pub list: Vec<Solid>,
+    /// Indices of solids in the order in which they claim slots.
+    order: Vec<usize>,
+    planes: Vec<PlaneContact>,
+    count: Vec<u8>,
+    /// Slots that pushed in this substep, a bit each.
+    pressed: Vec<u8>,
+    /// Per chunk, per solid.
+    pub exchange: Vec<Exchange>,
+    pub busy: Vec<bool>,
+}
+
+/// Constants of shape contacts.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ShapeContact<'a> {
+    /// Collision distance by body, mm.
+    pub distance: &'a [f32],
+    /// Margin by body, mm.
+    pub margin: &'a [f32],
+    /// Mass of a particle by body, g.
+    pub mass: &'a [f32],
+    pub omega: f32,
+    /// Divide by the particle's total count.
+    pub total: bool,
+}
+
+impl Solid {
+    fn new(c: &Collider, s: &Settings) -> Result<Self, PbdError> {
+        let dynamic = c.friction.unwrap_or(s.shape_friction);
+        let fixed = c.friction.or(s.static_shape_friction).unwrap_or(s.shape_friction);
+        Ok(Self {
+            name: c.name.clone(),
+            shape: PreparedShape::new(c)?,
+            moving: c.moving,
+            friction: dynamic as f32,
+            static_friction: fixed as f32,
+            distance_mm: c.collision_distance_mm.map(|d| d as f32),
+            from: c.pose,
+            to: c.pose,
+            way: Way::default(),
+        })
+    }
+}
+
+impl Way {
+    fn new(shape: &PreparedShape, from: Pose, to: Pose) -> Self {
+        let back = |q: Quat| Mat3A::from_quat(q.conjugate());
+        let (mut lo, mut hi) = (Vec3A::NEG_INFINITY, Vec3A::INFINITY);
+        if let (Some((a, b)), Some((centre, radius))) = (shape.local_bounds(), shape.bounding_ball()) {
+            (lo, hi) = (Vec3A::INFINITY, Vec3A::NEG_INFINITY);
+            for pose in [from, to] {
+                let c = Vec3A::from(pose.apply((a + b) * 0.5));
+                let turn = Mat3A::from_quat(pose.rotation);
+                let half = Vec3A::from((b - a) * 0.5);
+                let h = turn.x_axis.abs() * half.x + turn.y_axis.abs() * half.y + turn.z_axis.abs() * half.z;
+                (lo, hi) = (lo.min(c - h), hi.max(c + h));
+            }
+            // A quick turn may leave the boxes of both ends in between, but never the balls.
+            if from.rotation.dot(to.rotation).abs() < 0.999 {
+                for pose in [from, to] {
+                    let c = Vec3A::from(pose.apply(centre));
+                    (lo, hi) = (lo.min(c - radius), hi.max(c + radius));
+                }
+            }
+        }
+        Self {
+            from,
+            to,
+            turn_back: [back(from.rotation), back(to.rotation)],
+            lo,
+            hi,
+        }
+    }
+
+    #[inline]
+    fn local(&self, x: Vec3A, predicted: Vec3A) -> (Vec3, Vec3) {
+        let a = self.turn_back[0] * (x - Vec3A::from(self.from.translation));
+        let b = self.turn_back[1] * (predicted - Vec3A::from(self.to.translation));
+        (a.into(), b.into())
+    }
+}
+
+impl Solids {
+    pub(super) fn new(colliders: &[Collider], s: &Settings, particles: usize) -> Result<Self, PbdError> {
+        let list = colliders
+            .iter()
+            .map(|c| Solid::new(c, s))
+            .collect::<Result<Vec<_>, _>>()?;
+        let mut order: Vec<usize> = (0..list.len()).collect();
+        order.sort_by_key(|&k| list[k].shape.priority(list[k].moving));
+        let chunks = particles.div_ceil(CHUNK);
+        let slots = if list.is_empty() { 0 } else { particles * SLOTS };
+        Ok(Self {
+            order,
+            planes: vec![PlaneContact::default(); slots],
+            count: vec![0; particles],
+            pressed: vec![0; particles],
+            exchange: vec![Exchange::default(); chunks * list.len()],
+            busy: vec![false; chunks],
+            list,
+        })
+    }
+
+    /// Sets the poses over substep `q` of `substeps`.
+    pub(super) fn advance(&mut self, q: u32, substeps: u32) {
+        let at = |k: u32| f64::from(k) / f64::from(substeps);
+        for s in &mut self.list {
+            let from = s.from.interpolate(&s.to, at(q));
+            let to = s.from.interpolate(&s.to, at(q + 1));
+            s.way = Way::new(&s.shape, from, to);
+        }
+    }
+
+    /// The step is over: the next one starts from the present poses.
+    pub(super) fn settle(&mut self) {
+        for s in &mut self.list {
+            s.from = s.to;
+        }
+    }
+
+    /// Contact planes of every particle on its way from x to its prediction.
+    pub(super) fn find(&mut self, p: &Particles, how: &ShapeContact, counts: &mut [ClampCounts]) {
+        if self.list.is_empty() {
+            return;
+        }
+        let (list, order) = (&self.list, &self.order);
+        (
+            self.planes.par_chunks_mut(CHUNK * SLOTS),
+            self.count.par_chunks_mut(CHUNK),
+            self.pressed.par_chunks_mut(CHUNK),
+            self.busy.par_iter_mut(),
+            counts.par_iter_mut(),
+        )
+            .into_par_iter()
+            .enumerate()
+            .for_each(|(chunk, (planes, count, pressed, busy, counts))| {
+                *busy = false;
+                pressed.fill(0);
+                count.fill(0);
+                let first = chunk * CHUNK;
+                let range = first..first + count.len();
+                let (mut lo, mut hi) = (Vec3A::INFINITY, Vec3A::NEG_INFINITY);
+                for (a, b) in p.x[range.clone()].iter().zip(&p.predicted[range]) {
+                    (lo, hi) = (lo.min(a.min(*b)), hi.max(a.max(*b)));
+                }
+                for &k in order {
+                    let solid = &list[k];
+                    let far = how
+                        .distance
+                        .iter()
+                        .zip(how.margin)
+                        .fold(0f32, |m, (d, g)| m.max(solid.distance_mm.unwrap_or(*d) + g));
+                    if solid.way.lo.cmpgt(hi + far).any() || solid.way.hi.cmplt(lo - far).any() {
+                        continue;
+                    }
+                    for (n, count) in count.iter_mut().enumerate() {
+                        let i = first + n;
+                        if p.inverse_mass[i] == 0.0 {
+                            continue;
+                        }
+                        let body = usize::from(p.body[i]);
+                        let distance = solid.distance_mm.unwrap_or(how.distance[body]);
+                        let reach = distance + how.margin[body];
+                        let (x, predicted) = (p.x[i], p.predicted[i]);
+                        if solid.way.lo.cmpgt(x.max(predicted) + reach).any()
+                            || solid.way.hi.cmplt(x.min(predicted) - reach).any()
+                            || !predicted.is_finite()
+                        {
+                            continue;
+                        }
+                        let (a, b) = solid.way.local(x, predicted);
+                        let mut found = LocalContacts::default();
+                        solid.shape.contacts(
+                            &Motion {
+                                a,
+                                b,
+                                distance,
+                                reach,
+                            },
+                            &mut found,
+                        );
+                        for c in found.as_slice() {
+                            if usize::from(*count) == SLOTS {
+                                counts.shape_contacts += 1;
+                                continue;
+                            }
+                            let normal = solid.way.to.rotation * c.normal;
+                            let point = solid.way.to.apply(c.point);
+                            let slot = n * SLOTS + usize::from(*count);
+                            planes[slot] = PlaneContact {
+                                normal,
+                                offset: normal.dot(point) + distance,
+                                drift: point - solid.way.from.apply(c.point),
+                                solid: k as u32,
+                            };
+                            *count += 1;
+                            *busy = true;
+                        }
+                    }
+                }
+            });
+    }
+
+    /// Contact planes of particle `i`.
+    pub(super) fn row(&self, i: usize) -> &[PlaneContact] {
+        &self.planes[i * SLOTS..i * SLOTS + usize::from(self.count[i])]
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.list.is_empty()
+    }
+
+    /// Adds the corrections of shape contacts at the start positions to `p.correction`, with their counts.
+    pub(super) fn correct_start(&self, p: &mut Particles) {
+        if self.list.is_empty() {
+            return;
+        }
+        let Particles {
+            x,
+            correction,
+            correction_count,
+            ..
+        } = p;
+        (
+            correction.par_chunks_mut(CHUNK),
+            correction_count.par_chunks_mut(CHUNK),
+            x.par_chunks(CHUNK),
+            self.busy.par_iter(),
+        )
+            .into_par_iter()
+            .enumerate()
+            .filter(|(_, (.., busy))| **busy)
+            .for_each(|(chunk, (correction, count, x, _))| {
+                for k in 0..x.len() {
+                    for c in self.row(chunk * CHUNK + k) {
+                        let normal = Vec3A::from(c.normal);
+                        let depth = c.offset - normal.dot(x[k]);
+                        if depth > 0.0 {
+                            correction[k] += normal * depth;
+                            count[k] += 1;
+                        }
+                    }
+                }
+            });
+    }
+
+    /// A view that solves the contacts of one chunk of particles after another.
+    pub(super) fn solver(&mut self) -> (SolidView<'_>, &mut [Exchange], &mut [u8]) {
+        let width = self.list.len();
+        let view = SolidView {
+            list: &self.list,
+            planes: &self.planes,
+            count: &self.count,
+            busy: &self.busy,
+            width,
+        };
+        (view, &mut self.exchange, &mut self.pressed)
+    }
+
+    /// Adds contacts, area and depth of the last substep to the exchange.
+    pub(super) fn tally(&mut self, p: &Particles) {
+        let width = self.list.len();
+        if width == 0 {
+            return;
+        }
+        for (chunk, exchange) in self.exchange.chunks_mut(width).enumerate() {
+            if !self.busy[chunk] {
+                continue;
+            }
+            for i in chunk * CHUNK..((chunk + 1) * CHUNK).min(self.count.len()) {
+                let mut seen = [u32::MAX; SLOTS];
+                for s in 0..usize::from(self.count[i]) {
+                    let c = &self.planes[i * SLOTS + s];
+                    if self.pressed[i] & (1 << s) == 0 {
+                        continue;
+                    }
+                    let e = &mut exchange[c.solid as usize];
+                    let depth = c.offset - Vec3A::from(c.normal).dot(p.x[i]);
+                    e.depth_mm = e.depth_mm.max(depth);
+                    // Two planes of one mesh are one touch.
+                    if !seen[..s].contains(&c.solid) {
+                        e.contacts += 1;
+                        e.area_mm2 += f64::from(p.area_mm2[i]);
+                    }
+                    seen[s] = c.solid;
+                }
+            }
+        }
+    }
+}
+
+/// Contacts as the solving passes see them.
+#[derive(Clone, Copy)]
+pub(super) struct SolidView<'a> {
+    list: &'a [Solid],
+    planes: &'a [PlaneContact],
+    count: &'a [u8],
+    busy: &'a [bool],
+    width: usize,
+}
+
+impl SolidView<'_> {
+    pub(super) fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Moves the particles of a chunk out of their contact planes, one plane after the other, with friction.
+    pub(super) fn solve(
+        &self,
+        chunk: usize,
+        predicted: &mut [Vec3A],
+        p: &Start,
+        how: &ShapeContact,
+        exchange: &mut [Exchange],
+        pressed: &mut [u8],
+    ) {
+        if self.width == 0 || !self.busy[chunk] {
+            return;
+        }
+        for (k, x) in predicted.iter_mut().enumerate() {
+            let i = chunk * CHUNK + k;
+            let count = usize::from(self.count[i]);
+            for s in 0..count {
+                let c = &self.planes[i * SLOTS + s];
+                let normal = Vec3A::from(c.normal);
+                let depth = c.offset - normal.dot(*x);
+                if depth <= 0.0 {
+                    continue;
+                }
+                let solid = &self.list[c.solid as usize];
+                let u = *x - p.x[i] - Vec3A::from(c.drift);
+                let scale = match p.total_count {
+                    Some(total) => how.omega / total[i].max(1) as f32,
+                    None => how.omega,
+                };
+                let out = normal * depth;
+                let dx = (out - friction(u, normal, depth, solid.static_friction, solid.friction)) * scale;
+                *x += dx;
+                pressed[k] |= 1 << s;
+                let mass = f64::from(how.mass[usize::from(p.body[i])]);
+                let push = Vec3::from(dx).as_dvec3() * mass;
+                let arm = Vec3::from(*x - Vec3A::from(solid.way.to.translation)).as_dvec3();
+                let e = &mut exchange[c.solid as usize];
+                e.push += push;
+                e.twist += arm.cross(push);
+                e.normal += f64::from(depth * scale) * mass;
+            }
+        }
+    }
+}
+
+/// Particles at the start of the substep, as contacts see them.
+#[derive(Clone, Copy)]
+pub(super) struct Start<'a> {
+    pub x: &'a [Vec3A],
+    pub body: &'a [u16],
+    pub total_count: Option<&'a [u32]>,
+}
