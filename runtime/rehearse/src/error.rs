@@ -1,0 +1,57 @@
+use std::path::PathBuf;
+use thiserror::Error;
+
+/// Why a session could not be set up, run, repeated or written.
+#[derive(Debug, Error)]
+pub enum RehearseError {
+    /// A file cannot be read.
+    #[error("cannot read the {what}: {source}: {}", .path.display())]
+    Read {
+        /// What it should be.
+        what: &'static str,
+        /// The system's error.
+        source: std::io::Error,
+        /// File.
+        path: PathBuf,
+    },
+    /// A file or folder cannot be written.
+    #[error("cannot write: {source}: {}", .path.display())]
+    Write {
+        /// The system's error.
+        source: std::io::Error,
+        /// File.
+        path: PathBuf,
+    },
+    /// Something is wrong in a scene.
+    #[error("{}:{line}: {message}", .path.display())]
+    Scene {
+        /// Line from 1.
+        line: usize,
+        /// What was found, what was expected, what to do.
+        message: String,
+        /// Scene file.
+        path: PathBuf,
+    },
+    /// A package cannot be used.
+    #[error(transparent)]
+    Package(#[from] palpate_package::PackageError),
+    /// A package that reads well but cannot be rehearsed.
+    #[error("{problem}: {}", .path.display())]
+    Unusable {
+        /// What is missing.
+        problem: String,
+        /// Package file.
+        path: PathBuf,
+    },
+    /// Points cannot be tied to the clusters.
+    #[error(transparent)]
+    Skin(#[from] palpate_skinning::SkinError),
+    /// A picture cannot be coded.
+    #[error("picture {name}: {source}")]
+    Picture {
+        /// Name of the picture.
+        name: String,
+        /// The encoder's error.
+        source: png::EncodingError,
+    },
+}

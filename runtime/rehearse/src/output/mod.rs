@@ -1,0 +1,17 @@
+//! Files that a session leaves.
+
+mod chart;
+mod csv;
+mod folder;
+mod npz;
+mod summary;
+#[cfg(test)]
+mod tests;
+mod vtu;
+
+pub use chart::{Line, Plot, bars, plot};
+pub use csv::{fiducials_csv, force_csv, timings_csv};
+pub use folder::OutputFolder;
+pub use npz::trace_npz;
+pub use summary::{SummaryInput, summary_html};
+pub use vtu::{PointCloud, VtuArray, pvd, vtu};

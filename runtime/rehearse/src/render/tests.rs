@@ -1,0 +1,255 @@
+use super::*;
+use glam::Vec3;
+
+fn camera(width: usize, height: usize) -> Camera {
+    Camera {
+        right: Vec3::X,
+        up: Vec3::Y,
+        toward: Vec3::Z,
+        centre: Vec3::ZERO,
+        px_per_mm: 4.0,
+        width,
+        height,
+    }
+}
+
+fn item(mesh: &Mesh, material: Material) -> Item<'_> {
+    Item {
+        vertices: &mesh.vertices,
+        normals: &mesh.normals,
+        triangles: &mesh.triangles,
+        material,
+    }
+}
+
+fn drawn(view: &View3d, camera: &Camera) -> Picture {
+    let mut out = Picture::new(camera.width, camera.height, [0.0; 3]);
+    draw_view(view, camera, &mut out, 0);
+    out
+}
+
+const WHITE: Material = Material {
+    lit: false,
+    ..Material::plain([1.0; 3])
+};
+
+#[test]
+fn a_sphere_covers_the_area_of_its_disc_wherever_it_stands() {
+    for centre in [
+        Vec3::ZERO,
+        Vec3::new(0.13, -3.27, 8.0),
+        Vec3::new(2.5, 1.125, -40.0),
+    ] {
+        let mesh = ball(centre, 9.0, 96);
+        let view = View3d {
+            opaque: vec![item(&mesh, WHITE)],
+            ..View3d::default()
+        };
+        let image = drawn(&view, &camera(160, 120));
+        let ink: f64 = image.pixels.iter().map(|&p| f64::from(p)).sum::<f64>() / (3.0 * 255.0);
+        let disc = std::f64::consts::PI * (9.0f64 * 4.0).powi(2);
+        assert!((ink / disc - 1.0).abs() < 2e-3, "{centre}: {ink} {disc}");
+    }
+}
+
+#[test]
+fn triangles_that_share_edges_leave_no_gap_and_no_overlap() {
+    // A fan of slivers over a square: every pixel inside must be full, on two nested layers alike.
+    let mut mesh = Mesh::default();
+    let ring: Vec<Vec3> = (0..97)
+        .map(|i| {
+            let t = std::f32::consts::TAU * i as f32 / 97.0;
+            Vec3::new(11.0 * t.cos(), 11.0 * t.sin(), 0.0)
+        })
+        .collect();
+    mesh.vertices.push([0.31, 0.17, 0.0]);
+    mesh.vertices.extend(ring.iter().map(|p| p.to_array()));
+    mesh.normals = vec![[0.0, 0.0, 1.0]; mesh.vertices.len()];
+    mesh.triangles = (0..97).map(|i| [0, 1 + i, 1 + (i + 1) % 97]).collect();
+    let view = View3d {
+        opaque: vec![item(&mesh, WHITE)],
+        ..View3d::default()
+    };
+    let image = drawn(&view, &camera(120, 120));
+    for y in 25..95 {
+        for x in 25..95 {
+            let r = f64::hypot(x as f64 - 59.5, y as f64 - 59.5);
+            if r < 34.0 {
+                assert_eq!(image.get(x, y), [255; 3], "({x}, {y})");
+            }
+        }
+    }
+    // What faces away is not drawn, unless both sides show.
+    mesh.triangles.iter_mut().for_each(|t| t.swap(1, 2));
+    let back = |two_sided| {
+        let view = View3d {
+            opaque: vec![item(&mesh, Material { two_sided, ..WHITE })],
+            ..View3d::default()
+        };
+        drawn(&view, &camera(120, 120)).get(60, 60)
+    };
+    assert_eq!((back(false), back(true)), ([0; 3], [255; 3]));
+}
+
+#[test]
+fn nearer_wins_in_any_order_and_veils_let_through() {
+    let red = Material {
+        lit: false,
+        ..Material::plain([1.0, 0.0, 0.0])
+    };
+    let blue = Material {
+        colour: [0.0, 0.0, 1.0],
+        ..red
+    };
+    let (near, far) = (ball(Vec3::Z * 12.0, 5.0, 24), ball(Vec3::ZERO, 5.0, 24));
+    let centre = |view: &View3d| drawn(view, &camera(80, 80)).get(40, 40);
+    for order in [[(&near, red), (&far, blue)], [(&far, blue), (&near, red)]] {
+        let view = View3d {
+            opaque: order.iter().map(|&(m, c)| item(m, c)).collect(),
+            ..View3d::default()
+        };
+        assert_eq!(centre(&view), [255, 0, 0]);
+    }
+    let half = Material { opacity: 0.5, ..red };
+    let over = |veil, body| View3d {
+        opaque: vec![item(body, blue)],
+        veils: vec![item(veil, half)],
+        ..View3d::default()
+    };
+    assert_eq!(centre(&over(&near, &far)), [128, 0, 128]);
+    assert_eq!(
+        centre(&over(&far, &near)),
+        [0, 0, 255],
+        "a veil behind something does not show"
+    );
+}
+
+#[test]
+fn light_comes_from_the_upper_left() {
+    let mesh = ball(Vec3::ZERO, 9.0, 64);
+    let view = View3d {
+        opaque: vec![item(&mesh, Material::plain([0.6; 3]))],
+        ..View3d::default()
+    };
+    let image = drawn(&view, &camera(100, 100));
+    let at = |dx: f32, dy: f32| image.get((50.0 + dx * 36.0) as usize, (50.0 + dy * 36.0) as usize)[0];
+    let (lit, dark) = (at(-0.45, -0.45), at(0.55, 0.55));
+    assert!(lit > dark + 40, "{lit} {dark}");
+    // Smooth: no step between neighbours inside of the disc, for all that 64 rings have facets.
+    for x in 30..70 {
+        let step = i16::from(image.get(x, 60)[0]) - i16::from(image.get(x + 1, 60)[0]);
+        assert!(step.abs() <= 8, "{x}: {step}");
+    }
+}
+
+#[test]
+fn a_polytope_of_six_planes_is_the_box() {
+    let mut planes = vec![
+        [1.0, 0.0, 0.0, 2.0],
+        [-1.0, 0.0, 0.0, 2.0],
+        [0.0, 2.0, 0.0, 6.0],
+        [0.0, -1.0, 0.0, 3.0],
+        [0.0, 0.0, 1.0, 1.0],
+        [0.0, 0.0, -1.0, 4.0],
+    ];
+    let volume = |m: &Mesh| -> f32 {
+        m.triangles
+            .iter()
+            .map(|t| {
+                let [a, b, c] = t.map(|v| Vec3::from(m.vertices[v as usize]));
+                a.dot(b.cross(c)) / 6.0
+            })
+            .sum()
+    };
+    let plain = polytope(&planes);
+    assert!(
+        (volume(&plain) - 4.0 * 6.0 * 5.0).abs() < 1e-2,
+        "{}",
+        volume(&plain)
+    );
+    assert_eq!(plain.triangles.len(), 12);
+    // A plane given twice and one that cuts nothing change nothing.
+    planes.push([1.0, 0.0, 0.0, 2.0]);
+    planes.push([1.0, 1.0, 1.0, 99.0]);
+    assert!((volume(&polytope(&planes)) - 120.0).abs() < 1e-2);
+}
+
+#[test]
+fn the_same_bytes_on_any_number_of_threads() {
+    let (a, b) = (
+        ball(Vec3::ZERO, 9.0, 32),
+        capsule(Vec3::new(3.0, 2.0, 4.0), Vec3::Y, 5.0, 3.0, 16),
+    );
+    let scene = SceneGeometry {
+        organs: vec![&a],
+        structures: vec![&b],
+        fiducials: &[[0.0; 3], [1.0, 2.0, 3.0]],
+        plane: Some([Vec3::ZERO, Vec3::X, Vec3::ONE, Vec3::Y]),
+        ..SceneGeometry::default()
+    };
+    let text = FrameText {
+        title: "Probe press é".into(),
+        lines: vec!["1.25 N".into()],
+        caution: "not calibrated".into(),
+        image: "level 0".into(),
+    };
+    let grey: Vec<u8> = (0..64 * 64).map(|i| (i * 7) as u8).collect();
+    let picture = |threads: usize| {
+        let image = GreyImage {
+            width: 64,
+            height: 64,
+            grey: &grey,
+            width_mm: 40.0,
+            depth_mm: 60.0,
+        };
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap();
+        pool.install(|| draw_frame(&scene, &camera(300, 240), 0.6, Some(image), &text, 480, 240))
+    };
+    let one = picture(1);
+    assert_eq!(one, picture(3));
+    let png = encode_png("f", &one, &[("Comment", "forces are not calibrated")]).unwrap();
+    let mut reader = png::Decoder::new(std::io::Cursor::new(png)).read_info().unwrap();
+    assert_eq!(
+        reader.info().utf8_text[0].get_text().unwrap(),
+        "forces are not calibrated"
+    );
+    let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
+    reader.next_frame(&mut pixels).unwrap();
+    assert_eq!(pixels, one.pixels);
+}
+
+#[test]
+fn a_preview_plays_back_what_was_pushed() {
+    let mut preview = Preview::default();
+    let frames: Vec<Picture> = (0..4usize)
+        .map(|n| {
+            let mut p = Picture::new(40, 30, [0.2; 3]);
+            // The last two are alike.
+            p.rectangle(5 + 3 * n.min(2), 4 + n.min(2), 6, 5, [0.9, 0.1, 0.4]);
+            p
+        })
+        .collect();
+    frames.iter().for_each(|f| preview.push(f.clone()));
+    preview.push(Picture::new(3, 3, [0.0; 3]));
+    assert_eq!(preview.len(), 4);
+    let bytes = preview.encode(0.1, &[]).unwrap();
+    let mut reader = png::Decoder::new(std::io::Cursor::new(bytes))
+        .read_info()
+        .unwrap();
+    let mut shown = Picture::new(40, 30, [0.0; 3]);
+    for frame in &frames {
+        let mut part = vec![0; reader.output_buffer_size().unwrap()];
+        reader.next_frame(&mut part).unwrap();
+        let control = reader.info().frame_control.unwrap();
+        let (x, y, w, h) = (control.x_offset, control.y_offset, control.width, control.height);
+        for row in 0..h as usize {
+            let from = 3 * row * w as usize;
+            let to = 3 * ((y as usize + row) * 40 + x as usize);
+            shown.pixels[to..to + 3 * w as usize].copy_from_slice(&part[from..from + 3 * w as usize]);
+        }
+        assert_eq!(&shown, frame);
+    }
+}

@@ -1,0 +1,5 @@
+/// The commented scene that `rehearse scene --example` writes: every key with its default or a usual value.
+pub const EXAMPLE: &str = include_str!("example.toml");
+
+/// The paper's protocol (`fixtures/scenes/probe-press.toml`).
+pub const PROBE_PRESS: &str = include_str!("../../../../fixtures/scenes/probe-press.toml");

@@ -1,0 +1,364 @@
+//! A scene: one TOML file that says which organs lie where, what presses them and what is kept.
+
+mod check;
+mod direction;
+mod example;
+pub(crate) mod names;
+mod read;
+#[cfg(test)]
+mod tests;
+
+pub use direction::Direction;
+pub use example::{EXAMPLE, PROBE_PRESS};
+pub use read::SceneSource;
+
+use crate::motion::{Interpolation, Keyframe};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+/// Version of the scene format.
+pub const FORMAT: u32 = 1;
+
+/// Everything that decides a session. Positions are patient RAS+ mm.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Scene {
+    /// Version of the format: 1.
+    pub format: u32,
+    /// Title in the summary.
+    pub name: String,
+    /// What the first package's organ lies on: `cradle` (moulded to the organ), `plane`, `none`, the name of a support body
+    /// of the package, or an STL file beside the scene.
+    pub support: String,
+    /// Steps of a scene that neither presses nor moves anything.
+    pub steps: u32,
+    /// Weight.
+    pub gravity: Gravity,
+    /// The staged press; absent: only keyframes move instruments.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub press: Option<Press>,
+    /// Cluster stiffness.
+    pub stiffness: Stiffness,
+    /// Points to follow.
+    pub fiducials: FiducialChoice,
+    /// The ultrasound image; absent: none is made.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub image: Option<ImageSettings>,
+    /// The 3-D picture.
+    pub view: View,
+    /// What is kept.
+    pub record: Record,
+    /// Model packages; the first is the one that instruments and support refer to.
+    #[serde(rename = "package")]
+    pub packages: Vec<PackageEntry>,
+    /// What touches the organs.
+    #[serde(rename = "instrument")]
+    pub instruments: Vec<Instrument>,
+}
+
+impl Default for Scene {
+    fn default() -> Self {
+        Self {
+            format: FORMAT,
+            name: "rehearsal".into(),
+            support: "cradle".into(),
+            steps: 120,
+            gravity: Gravity::default(),
+            press: None,
+            stiffness: Stiffness::default(),
+            fiducials: FiducialChoice::default(),
+            image: None,
+            view: View::default(),
+            record: Record::default(),
+            packages: Vec::new(),
+            instruments: Vec::new(),
+        }
+    }
+}
+
+/// One model package.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PackageEntry {
+    /// File; relative paths start at the scene's folder.
+    pub path: PathBuf,
+    /// Name in outputs; absent: the organ's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    /// Shift from where the patient has it, mm.
+    #[serde(default)]
+    pub offset_mm: [f64; 3],
+    /// Turn about the organ's centre: about x, then y, then z (patient axes), degrees.
+    #[serde(default)]
+    pub rotation_deg: [f64; 3],
+}
+
+/// Weight of everything.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Gravity {
+    /// Where things fall. `posterior` for a patient who lies on the back.
+    pub direction: Direction,
+    /// mm/s². Table 1 of the paper: 9.81 m/s².
+    pub acceleration_mm_s2: f64,
+}
+
+impl Default for Gravity {
+    fn default() -> Self {
+        Self {
+            direction: Direction::POSTERIOR,
+            acceleration_mm_s2: 9810.0,
+        }
+    }
+}
+
+/// α of the shape-matching clusters, 0 (loose) to 1 (stiffest). Not calibrated for any tissue.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Stiffness {
+    /// The organ itself. The paper's best values for particle radii 2.2, 2.5, 2.7, 3.0, 3.3 mm: 0.95, 0.60, 0.50, 0.45, 0.35.
+    pub organ: f64,
+    /// Structures that are not named below.
+    pub structures: f64,
+    /// By structure name; the first package must have each.
+    pub named: BTreeMap<String, f64>,
+}
+
+impl Default for Stiffness {
+    fn default() -> Self {
+        Self {
+            organ: 0.95,
+            structures: 1.0,
+            named: BTreeMap::new(),
+        }
+    }
+}
+
+/// Shape of an instrument.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ShapeKind {
+    /// A box: `size_mm`.
+    Cuboid,
+    /// A ball: `diameter_mm`.
+    Sphere,
+    /// A rod with round ends along its axis: `diameter_mm`, `length_mm`.
+    Capsule,
+    /// An intersection of half-spaces: `planes`.
+    Convex,
+}
+
+/// A rigid body that a script moves. Its own frame: z along the axis into the tissue, x across the image (lateral), y across
+/// the slice (elevation), origin in the middle of the front.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Instrument {
+    /// Name, none twice.
+    pub name: String,
+    /// Shape.
+    pub shape: ShapeKind,
+    /// Cuboid: x, y, z, mm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub size_mm: Option<[f64; 3]>,
+    /// Sphere, capsule: mm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub diameter_mm: Option<f64>,
+    /// Capsule: whole length, mm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub length_mm: Option<f64>,
+    /// Convex: rows (nx, ny, nz, distance from the origin in mm), inside where n·x ≤ distance; origin in the front.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub planes_mm: Option<Vec<[f64; 4]>>,
+    /// Coulomb coefficient; absent: the solver's `shape_friction`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub friction: Option<f64>,
+    /// Where it starts.
+    #[serde(default)]
+    pub pose: StartPose,
+    /// How positions between keyframes are found.
+    #[serde(default)]
+    pub interpolation: Interpolation,
+    /// Moves relative to the start pose, along its own axes.
+    #[serde(default, rename = "keyframe", skip_serializing_if = "Vec::is_empty")]
+    pub keyframes: Vec<Keyframe>,
+}
+
+/// Where an instrument starts: over the organ, found for whatever package is given, or at a place in the patient.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct StartPose {
+    /// On this side of the organ; the axis points the other way.
+    pub above: Direction,
+    /// Over what, the first that the package has: `peak` (the organ's farthest point on that side), `centre` (of the organ),
+    /// `structure` (the largest structure's centre) or a structure's name.
+    pub over: Vec<String>,
+    /// Where the image's x axis points; absent: the organ's longest extent across the axis.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lateral: Option<Direction>,
+    /// Shift across the axis, along the instrument's x and y, mm.
+    pub shift_mm: [f64; 2],
+    /// Distance to the first contact along the axis, mm; negative: pressed in.
+    pub gap_mm: f64,
+    /// Turn about the front's middle after placing: about the instrument's x, then y, then z, degrees.
+    pub rotation_deg: [f64; 3],
+    /// Patient RAS mm of the front's middle. Given this, `above` sets the axis only and `over`, `shift_mm`, `gap_mm` do
+    /// not count.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub position_mm: Option<[f64; 3]>,
+}
+
+impl Default for StartPose {
+    fn default() -> Self {
+        Self {
+            above: Direction::ANTERIOR,
+            over: vec!["structure".into(), "peak".into()],
+            lateral: None,
+            shift_mm: [0.0; 2],
+            gap_mm: 0.0,
+            rotation_deg: [0.0; 3],
+            position_mm: None,
+        }
+    }
+}
+
+/// The paper's protocol: a warm-up at the first contact, then stages of indentation along the instrument's axis.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Press {
+    /// Which instrument presses.
+    pub instrument: String,
+    /// Steps before the first stage. The paper: 120.
+    #[serde(default = "warm_up_steps")]
+    pub warm_up_steps: u32,
+    /// How the indentation runs within a stage. The paper: linear.
+    #[serde(default)]
+    pub interpolation: Interpolation,
+    /// Stages in order.
+    #[serde(rename = "stage")]
+    pub stages: Vec<Stage>,
+}
+
+fn warm_up_steps() -> u32 {
+    120
+}
+
+/// One stage.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Stage {
+    /// Name in outputs.
+    pub name: String,
+    /// How far the instrument stands past its start pose when the stage ends, mm.
+    pub indentation_mm: f64,
+    /// Steps. The paper: 90.
+    pub steps: u32,
+}
+
+/// Points to follow.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct FiducialChoice {
+    /// Take the package's own where it has some.
+    pub from_package: bool,
+    /// Otherwise this many, spread over the organ's surface and inside. The paper: 45.
+    pub count: u32,
+}
+
+impl Default for FiducialChoice {
+    fn default() -> Self {
+        Self {
+            from_package: true,
+            count: 45,
+        }
+    }
+}
+
+/// The ultrasound image.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ImageSettings {
+    /// The instrument that carries the scan plane (its x–z plane); empty: the first.
+    pub instrument: String,
+    /// 0: the scan's intensities as they are (the paper); 1: grey map and depth gain; 2: rays; 3: speckle as well.
+    pub level: u8,
+    /// Depth below the front, mm.
+    pub depth_mm: f64,
+    /// Width, mm; absent: the instrument's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub width_mm: Option<f64>,
+    /// Pixels across.
+    pub width_px: u32,
+    /// Pixels down.
+    pub height_px: u32,
+}
+
+impl Default for ImageSettings {
+    fn default() -> Self {
+        Self {
+            instrument: String::new(),
+            level: 0,
+            depth_mm: 60.0,
+            width_mm: None,
+            width_px: 512,
+            height_px: 512,
+        }
+    }
+}
+
+/// The 3-D picture.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct View {
+    /// Where the viewer stands, seen from the organ; absent: aslant, so that the instrument's side and the support show.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub from: Option<Direction>,
+    /// Opacity of the organ where it faces the viewer, 0 to 1.
+    pub organ_opacity: f64,
+    /// Picture width, pixels.
+    pub width_px: u32,
+    /// Picture height, pixels.
+    pub height_px: u32,
+}
+
+impl Default for View {
+    fn default() -> Self {
+        Self {
+            from: None,
+            organ_opacity: 0.62,
+            width_px: 1280,
+            height_px: 720,
+        }
+    }
+}
+
+/// What is kept. 0 steps: never.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Record {
+    /// A PNG frame every so many steps, and at the end of every stage.
+    pub frame_every_steps: u32,
+    /// A frame of the animated preview every so many steps.
+    pub preview_every_steps: u32,
+    /// A `.vtu` of surface and particles every so many steps, and at the end of every stage.
+    pub vtu_every_steps: u32,
+    /// An ultrasound PNG of its own with every frame.
+    pub images: bool,
+    /// The CSV tables.
+    pub csv: bool,
+    /// The array file.
+    pub npz: bool,
+}
+
+impl Default for Record {
+    fn default() -> Self {
+        Self {
+            frame_every_steps: 10,
+            preview_every_steps: 6,
+            vtu_every_steps: 30,
+            images: true,
+            csv: true,
+            npz: true,
+        }
+    }
+}

@@ -1,0 +1,119 @@
+use super::*;
+
+fn complaint(text: &str) -> String {
+    match SceneSource::parse(text, "s.toml".as_ref()) {
+        Ok(s) => panic!("accepted: {:?}", s.scene),
+        Err(e) => e.to_string(),
+    }
+}
+
+const PROBE: &str = "[[instrument]]\nname = 'probe'\nshape = 'cuboid'\nsize_mm = [40, 10, 20]\n";
+
+#[test]
+fn bundled_and_example_scenes_read_and_go_round() {
+    for text in [EXAMPLE, PROBE_PRESS] {
+        let scene = SceneSource::parse(text, "s.toml".as_ref()).unwrap().scene;
+        let written = toml::to_string(&scene).unwrap();
+        let again = SceneSource::parse(&written, "s.toml".as_ref()).unwrap().scene;
+        assert_eq!(scene, again, "{written}");
+    }
+}
+
+#[test]
+fn the_example_shows_defaults_as_they_are() {
+    let scene = SceneSource::parse(EXAMPLE, "s.toml".as_ref()).unwrap().scene;
+    let plain = Scene::default();
+    assert_eq!(scene.gravity, plain.gravity);
+    assert_eq!(scene.stiffness, plain.stiffness);
+    assert_eq!(scene.record, plain.record);
+    assert_eq!(scene.view, plain.view);
+    assert_eq!(scene.fiducials, plain.fiducials);
+    assert_eq!((scene.steps, &scene.support), (plain.steps, &plain.support));
+    assert_eq!(scene.instruments[0].pose, StartPose::default());
+    let image = ImageSettings {
+        instrument: "probe".into(),
+        ..ImageSettings::default()
+    };
+    assert_eq!(scene.image, Some(image));
+}
+
+#[test]
+fn wrong_keys_units_values_and_names_are_told_with_their_line() {
+    let stage = "[press]\ninstrument = 'probe'\n[[press.stage]]\nname = 'a'\nindentation_mm = 5\nsteps = 9\n";
+    for (text, expected) in [
+        (
+            "format = 1\n\n[image]\ndepth_cm = 6\n".to_string(),
+            "s.toml:4: unknown key \"depth_cm\"; the nearest valid key is \"depth_mm\" (mind the unit)",
+        ),
+        (
+            "[gravity]\ndirecton = 'posterior'\n".into(),
+            "s.toml:2: unknown key \"directon\"; the nearest valid key is \"direction\"",
+        ),
+        (
+            "[gravity]\ndirection = 'posteror'\n".into(),
+            "s.toml:2: unknown direction \"posteror\", expected right, left, anterior, posterior, superior, inferior; \
+             did you mean \"posterior\"?",
+        ),
+        (
+            PROBE.replace("cuboid", "cubiod"),
+            "s.toml:3: found \"cubiod\", expected cuboid, sphere, capsule, convex; did you mean \"cuboid\"?",
+        ),
+        (
+            PROBE.replace("[40, 10, 20]", "[40, 10]"),
+            "s.toml:4: invalid length 2, expected an array of length 3",
+        ),
+        (
+            PROBE.replace("[40, 10, 20]", "[40, -10, 20]"),
+            "s.toml:4: size_mm is -10, expected three lengths from 0.1 to 1000 mm",
+        ),
+        (
+            PROBE
+                .replace("size_mm", "diameter_mm")
+                .replace("[40, 10, 20]", "4"),
+            "s.toml:3: a cuboid needs size_mm",
+        ),
+        (
+            format!("{PROBE}diameter_mm = 4\n"),
+            "s.toml:5: diameter_mm says nothing about a cuboid, which has size_mm",
+        ),
+        (
+            format!(
+                "{PROBE}{}",
+                stage.replace("instrument = 'probe'", "instrument = 'prob'")
+            ),
+            "s.toml:6: no instrument is named \"prob\"; there are: probe; did you mean \"probe\"?",
+        ),
+        (
+            format!("{PROBE}{}", stage.replace("steps = 9", "steps = 0")),
+            "s.toml:10: found 0 steps, expected at least 1",
+        ),
+        (
+            format!(
+                "{PROBE}{}",
+                stage.replace("indentation_mm = 5", "indentation_mm = nan")
+            ),
+            "s.toml:9: indentation_mm is NaN, expected -500 to 500 mm",
+        ),
+        (
+            format!("{PROBE}[[instrument.keyframe]]\ntime_s = 1\n[[instrument.keyframe]]\ntime_s = 0.5\n"),
+            "s.toml:8: 0.5 s after 1 s, expected rising times",
+        ),
+        (
+            "format = 2\n".into(),
+            "s.toml:1: scene format 2, expected 1; a newer version wrote this scene",
+        ),
+        (
+            "[stiffness]\norgan = 1.5\n".into(),
+            "s.toml:2: organ is 1.5, expected 0 to 1",
+        ),
+        ("x = \n".into(), "s.toml:1: "),
+    ] {
+        let got = complaint(&text);
+        let fits = if expected.ends_with(": ") {
+            got.starts_with(expected)
+        } else {
+            got == expected
+        };
+        assert!(fits, "{text}\ngot      {got}\nexpected {expected}");
+    }
+}

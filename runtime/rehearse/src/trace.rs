@@ -1,0 +1,198 @@
+//! What a session leaves: one row per step, positions of the fiducials, stages.
+
+use serde::{Deserialize, Serialize};
+
+/// Sentence that goes with every force and pressure.
+pub const UNCALIBRATED: &str = "Contact forces, torques and pressures follow from a stiffness that is not calibrated for \
+                                this patient's tissue: compare them within a session, do not read them as measurements.";
+
+/// The same for narrow places.
+pub const UNCALIBRATED_SHORT: &str = "forces: stiffness not calibrated";
+
+/// Parts of a step in the order of [`StepTimes::parts`].
+pub const PARTS: [&str; 8] = [
+    "integration",
+    "neighbours",
+    "collision",
+    "contacts",
+    "shape matching",
+    "frames",
+    "skinning",
+    "image",
+];
+
+/// What an instrument felt in a step. Vectors in patient axes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Contact {
+    /// Mean force on it over the step, N.
+    pub force_n: [f64; 3],
+    /// The same, smoothed over the solver's `force_smoothing_s`.
+    pub smooth_force_n: [f64; 3],
+    /// Mean torque about its front's middle, N·mm.
+    pub torque_n_mm: [f64; 3],
+    /// Sum of the parts along the contact normals, N.
+    pub normal_force_n: f64,
+    /// Organ surface in contact, mm².
+    pub area_mm2: f64,
+    /// Normal force over area, kPa.
+    pub pressure_kpa: f64,
+    /// Particles in contact.
+    pub contacts: u32,
+    /// Deepest penetration, mm.
+    pub depth_mm: f64,
+}
+
+impl Contact {
+    /// Length of the smoothed force, N.
+    pub fn force(&self) -> f64 {
+        self.smooth_force_n.iter().map(|f| f * f).sum::<f64>().sqrt()
+    }
+}
+
+/// Wall time of a step, s.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct StepTimes {
+    /// By [`PARTS`].
+    pub parts: [f64; 8],
+    /// The solver's step as a whole, without skinning and image.
+    pub solver_s: f64,
+}
+
+impl StepTimes {
+    /// Solver, skinning and image.
+    pub fn total_s(&self) -> f64 {
+        self.solver_s + self.parts[6] + self.parts[7]
+    }
+
+    /// Finding contacts of all kinds: the second curve of the paper's Figure 7.
+    pub fn collision_s(&self) -> f64 {
+        self.parts[1] + self.parts[2]
+    }
+}
+
+/// One step.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StepRow {
+    /// Number from 1.
+    pub step: u32,
+    /// Time after it, s.
+    pub time_s: f64,
+    /// Index into [`Trace::stages`]; 0 without a press.
+    pub stage: usize,
+    /// How far the pressing instrument stands past its start pose, mm.
+    pub indentation_mm: f64,
+    /// By instrument.
+    pub contacts: Vec<Contact>,
+    /// Wall times.
+    pub times: StepTimes,
+    /// Fiducials in patient RAS mm.
+    pub fiducials_mm: Vec<[f64; 3]>,
+    /// Limits that took hold (speed, acceleration, contacts beyond what fits, numbers that are not finite).
+    pub clamps: u64,
+    /// Embedding tets that are inverted in the scan plane.
+    pub inverted_tets: u32,
+    /// Digest of the solver's state.
+    pub digest: u64,
+}
+
+/// A stage as it ran.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StageRow {
+    /// Name.
+    pub name: String,
+    /// Indentation at its end, mm.
+    pub indentation_mm: f64,
+    /// Last step of it.
+    pub last_step: u32,
+}
+
+/// Everything measured in a session.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Trace {
+    /// Names of the instruments.
+    pub instruments: Vec<String>,
+    /// Names of the fiducials.
+    pub fiducials: Vec<String>,
+    /// Fiducials at rest, patient RAS mm.
+    pub fiducials_rest_mm: Vec<[f64; 3]>,
+    /// Stages; empty without a press.
+    pub stages: Vec<StageRow>,
+    /// Steps in order.
+    pub steps: Vec<StepRow>,
+}
+
+/// Mean, standard deviation (n − 1), least and most.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Spread {
+    /// Mean.
+    pub mean: f64,
+    /// Standard deviation.
+    pub sd: f64,
+    /// Least.
+    pub min: f64,
+    /// Most.
+    pub max: f64,
+}
+
+impl Spread {
+    /// Of these values; zeros where there are none.
+    pub fn of(values: &[f64]) -> Self {
+        let n = values.len() as f64;
+        if values.is_empty() {
+            return Self::default();
+        }
+        let mean = values.iter().sum::<f64>() / n;
+        let square: f64 = values.iter().map(|v| (v - mean) * (v - mean)).sum();
+        Self {
+            mean,
+            sd: if values.len() > 1 {
+                (square / (n - 1.0)).sqrt()
+            } else {
+                0.0
+            },
+            min: values.iter().copied().fold(f64::INFINITY, f64::min),
+            max: values.iter().copied().fold(f64::NEG_INFINITY, f64::max),
+        }
+    }
+}
+
+impl Trace {
+    /// Distances (mm) of the fiducials between the end of stage `from` and the end of stage `to`; between rest and `to`
+    /// where `from` is none. Empty where the steps are not there.
+    pub fn displacements(&self, from: Option<usize>, to: usize) -> Vec<f64> {
+        let at = |stage: usize| {
+            let last = self.stages.get(stage)?.last_step;
+            // A stage of no steps ends at rest.
+            match last {
+                0 => Some(&self.fiducials_rest_mm),
+                _ => self.steps.get(last as usize - 1).map(|s| &s.fiducials_mm),
+            }
+        };
+        let start = match from {
+            Some(stage) => at(stage),
+            None => Some(&self.fiducials_rest_mm),
+        };
+        match (start, at(to)) {
+            (Some(a), Some(b)) => a
+                .iter()
+                .zip(b)
+                .map(|(p, q)| (0..3).map(|k| (p[k] - q[k]) * (p[k] - q[k])).sum::<f64>().sqrt())
+                .collect(),
+            _ => Vec::new(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn spread_of_a_worked_example() {
+        // Norms of the metric example: mean 1.325, SD (n − 1) 1.233896.
+        let s = Spread::of(&[0.5, 1.5, 3.0, 0.3]);
+        assert!((s.mean - 1.325).abs() < 1e-12 && (s.sd - 1.233896).abs() < 1e-6);
+        assert_eq!((s.min, s.max), (0.3, 3.0));
+        assert_eq!(Spread::of(&[2.0]).sd, 0.0);
+    }
+}
