@@ -293,6 +293,14 @@ pub(crate) fn fem(f: &FemReport, names: &[&str], seconds: f64) -> anyhow::Result
                 f.outer_rms_mm, f.topology.boundary_euler
             ),
         )
+        .row_if(f.refinement.as_ref().is_some_and(|r| r.cells > 0), "smaller cells", || {
+            f.refinement.as_ref().map_or_else(String::new, |r| {
+                format!(
+                    "{} cells halved up to {} times: {} → {} tets; surface points farther than {:.1} mm from the mesh {} → {} of {}",
+                    r.cells, r.levels, r.tets_before, r.tets_after, r.tolerance_mm, r.far_before, r.far_after, r.samples
+                )
+            })
+        })
         .row_if(f.sign_edits > 0, "lattice signs mended", || {
             f.sign_edits.to_string()
         });

@@ -1,15 +1,21 @@
 //! The unoptimised mesh: lattice, outer surface, dividers, at given levels.
 
 use crate::TetError;
+use crate::background::Background;
 use crate::faces::FaceTable;
 use crate::geometry::{cross, length, sub, volume6};
+use crate::graded::Splits;
 use crate::interface::{CutCounts, cut_dividers, interface_divider};
-use crate::lattice::Lattice;
+use crate::lattice::{Lattice, NEIGHBOURS};
 use crate::mending::stuff;
 use crate::quality::dihedral_angles;
 use crate::stuffing::{Complex, StuffCounts, WarpRule};
 use crate::surfaces::{Level, SurfaceSet};
 use palpate_volume::Implicit;
+use rayon::prelude::*;
+
+/// A point this far (edges) inside stays where it is: warping reaches 0.36 edges.
+const CLEAR_EDGES: f64 = 0.36;
 
 /// What is meshed and how, apart from the lattice and the levels.
 pub(crate) struct Plan<'a> {
@@ -64,7 +70,50 @@ impl Plan<'_> {
         Lattice::covering(lo, hi, edge_mm, origin)
     }
 
-    pub fn assemble(&self, lattice: Lattice, levels: &Levels) -> Result<Assembly, TetError> {
+    /// The lattice with the cells of `splits` divided; with a coarser interior, where that is asked for.
+    pub fn background(&self, base: Lattice, splits: &Splits) -> Background {
+        if !self.graded {
+            return if splits.is_empty() {
+                Background::uniform(base)
+            } else {
+                Background::graded(&base, splits, |_| false, self.organ)
+            };
+        }
+        // Cells plainly inside, with all that they touch, and on one side of every divider.
+        let clear = CLEAR_EDGES * base.edge_mm;
+        let side: Vec<Option<u64>> = (0..base.len() as u32)
+            .into_par_iter()
+            .with_min_len(512)
+            .map(|id| {
+                let p = base.position(base.triple(id));
+                let v = self.organ.value(p);
+                if v.is_nan() || v > -clear {
+                    return None;
+                }
+                let mut inside = 0u64;
+                for n in (0..self.dividers.len()).filter(|&n| self.conforming[n]) {
+                    let v = self.dividers[n].value(p);
+                    if v.is_nan() || v.abs() < 0.9 * base.edge_mm {
+                        return None;
+                    }
+                    inside |= u64::from(v < 0.0) << n;
+                }
+                Some(inside)
+            })
+            .collect();
+        let may_grow = |c: [usize; 3]| {
+            let centre: [i32; 3] = std::array::from_fn(|a| base.lo[a] + 2 * c[a] as i32 + 1);
+            let at = |d: [i32; 3]| {
+                base.id(std::array::from_fn(|a| centre[a] + d[a]))
+                    .and_then(|id| side[id as usize])
+            };
+            let own = at([0; 3]);
+            own.is_some() && NEIGHBOURS.iter().all(|&d| at(d) == own)
+        };
+        Background::graded(&base, splits, may_grow, self.organ)
+    }
+
+    pub fn assemble(&self, background: &Background, levels: &Levels) -> Result<Assembly, TetError> {
         let outer = Level {
             inner: self.organ,
             level_mm: levels.outer,
@@ -83,15 +132,10 @@ impl Plan<'_> {
             outer: &outer,
             dividers: &dividers,
         };
-        let kept: Vec<&dyn Implicit> = (0..dividers.len())
-            .filter(|&n| self.conforming[n])
-            .map(|n| dividers[n])
-            .collect();
-        let graded = self.graded.then_some(kept.as_slice());
-        let (mut complex, stuffed) = stuff(&outer, lattice.clone(), &self.rule, graded)?;
+        let (mut complex, stuffed) = stuff(&outer, background.clone(), &self.rule)?;
         let (regions, cut) = cut_dividers(
             &mut complex,
-            &lattice,
+            background,
             &surfaces,
             self.conforming,
             self.rule.linear,

@@ -4,11 +4,11 @@
 //! curve), then every crossed tet is cut with the stencils. On faces of the lattice the parity rule picks the
 //! diagonals, elsewhere the smaller node index; both depend on the face alone, so the pieces conform.
 
+use crate::background::{Background, EdgeKind, edge_kind};
 use crate::faces::{Components, FaceTable};
 use crate::geometry::{centroid4, dot, lerp, volume6};
-use crate::lattice::{Lattice, is_long};
 use crate::quality::volume_length_quality;
-use crate::stencil::{Cutter, ZZZZ, cut_tet, lattice_diagonal, pattern_index};
+use crate::stencil::{Cutter, ZZZZ, cut_tet, pattern_index};
 use crate::stuffing::{Complex, Source, WarpRule, edge_root};
 use crate::surfaces::{OUTER, SurfaceSet, divider_bit};
 use palpate_volume::Implicit;
@@ -48,7 +48,7 @@ pub(crate) struct CutCounts {
 /// Cuts `complex` (all of region 0) along every conforming divider in turn. Returns the region of each tet.
 pub(crate) fn cut_dividers(
     complex: &mut Complex,
-    lattice: &Lattice,
+    background: &Background,
     surfaces: &SurfaceSet,
     conforming: &[bool],
     linear: bool,
@@ -59,7 +59,7 @@ pub(crate) fn cut_dividers(
         Stage {
             complex,
             regions: &mut regions,
-            lattice,
+            background,
             surfaces,
             n,
             linear,
@@ -67,7 +67,12 @@ pub(crate) fn cut_dividers(
         }
         .run();
     }
-    merge_specks(complex, &mut regions, lattice.edge_mm.powi(3) / 3.0, &mut counts);
+    merge_specks(
+        complex,
+        &mut regions,
+        background.edge_mm.powi(3) / 3.0,
+        &mut counts,
+    );
     (regions, counts)
 }
 
@@ -103,7 +108,7 @@ pub(crate) fn interface_divider(a: u16, b: u16) -> Option<usize> {
 struct Stage<'a> {
     complex: &'a mut Complex,
     regions: &'a mut Vec<u16>,
-    lattice: &'a Lattice,
+    background: &'a Background,
     surfaces: &'a SurfaceSet<'a>,
     n: usize,
     linear: bool,
@@ -164,7 +169,7 @@ impl Stage<'_> {
                 continue;
             }
             let earlier = on_node[v] & !OUTER;
-            if earlier != 0 && values[v].abs() < TOUCHING * self.lattice.edge_mm {
+            if earlier != 0 && values[v].abs() < TOUCHING * self.background.edge_mm {
                 let p = self.complex.points[v];
                 let g = self.field().gradient(p);
                 let along = (0..self.n).filter(|&m| earlier & divider_bit(m) != 0).any(|m| {
@@ -211,10 +216,10 @@ impl Stage<'_> {
     fn alpha(&self, a: u32, b: u32) -> f64 {
         match (self.complex.sources[a as usize], self.complex.sources[b as usize]) {
             (Source::Lattice(a), Source::Lattice(b)) => {
-                if is_long(self.lattice.triple(a), self.lattice.triple(b)) {
-                    WarpRule::ARBITRARY.alpha_long
-                } else {
-                    WarpRule::ARBITRARY.alpha_short
+                match edge_kind(self.background.triple(a), self.background.triple(b)).0 {
+                    EdgeKind::Long => WarpRule::ARBITRARY.alpha_long,
+                    EdgeKind::Short => WarpRule::ARBITRARY.alpha_short,
+                    EdgeKind::Other => ALPHA_OTHER,
                 }
             }
             _ => ALPHA_OTHER,
@@ -261,7 +266,7 @@ impl Stage<'_> {
             let set = on_node[node as usize];
             if set != 0 {
                 // Slide: a surface node may not leave its surfaces.
-                let reach = (2.0 * d).max(0.1 * self.lattice.edge_mm);
+                let reach = (2.0 * d).max(0.1 * self.background.edge_mm);
                 match self.surfaces.project(q, set | bit, reach) {
                     Some(s) => q = s,
                     None => {
@@ -336,7 +341,7 @@ impl Stage<'_> {
         let structure = self.n as u16 + 1;
         let mut to = Pieces {
             complex: self.complex,
-            lattice: self.lattice,
+            background: self.background,
             surfaces: self.surfaces,
             bit: divider_bit(self.n),
             roots,
@@ -360,7 +365,11 @@ impl Stage<'_> {
                 self.counts.zzzz += usize::from(regions[n] == 0);
                 // A gap between structures that share faces is closed.
                 let gap = t.iter().any(|&v| shared[v as usize]);
-                let level = if gap { TOUCHING * self.lattice.edge_mm } else { 0.0 };
+                let level = if gap {
+                    TOUCHING * self.background.edge_mm
+                } else {
+                    0.0
+                };
                 let c = centroid4(to.complex.corners(t));
                 let inside = self.surfaces.dividers[self.n].value(c) < level;
                 let side = if inside { -1 } else { 1 };
@@ -425,7 +434,7 @@ impl Stage<'_> {
 
 struct Pieces<'a> {
     complex: &'a mut Complex,
-    lattice: &'a Lattice,
+    background: &'a Background,
     surfaces: &'a SurfaceSet<'a>,
     bit: u64,
     roots: &'a [((u32, u32), f64)],
@@ -470,11 +479,11 @@ impl Cutter for Pieces<'_> {
 
     fn diagonal_at_first(&self, a: u32, b: u32, e: u32) -> bool {
         let id = |v: u32| match self.complex.sources[v as usize] {
-            Source::Lattice(id) => Some(self.lattice.triple(id)),
+            Source::Lattice(id) => Some(id),
             _ => None,
         };
         match (id(a), id(b), id(e)) {
-            (Some(a), Some(b), Some(e)) => lattice_diagonal(a, b, e),
+            (Some(a), Some(b), Some(e)) => self.background.diagonal_at_first(a, b, e),
             _ => a < b,
         }
     }

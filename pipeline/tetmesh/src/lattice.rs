@@ -78,6 +78,17 @@ impl Lattice {
         })
     }
 
+    /// The same box with every cell halved `times` times; old points keep their places.
+    pub fn refined(&self, times: u8) -> Self {
+        let scale = 1usize << times;
+        Self {
+            origin_mm: self.origin_mm,
+            edge_mm: self.edge_mm / scale as f64,
+            lo: self.lo.map(|v| v * scale as i32),
+            cells: self.cells.map(|c| c * scale),
+        }
+    }
+
     /// Number of point ids; the last row of an odd plane holds none.
     pub fn len(&self) -> usize {
         (2 * self.cells[0] + 1) * (self.cells[1] + 1) * (self.cells[2] + 1)

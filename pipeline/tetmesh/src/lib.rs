@@ -6,6 +6,7 @@
 //! Refuses: fields without an inside; meshes that cannot be made valid.
 
 mod assembly;
+mod background;
 mod embedding;
 mod error;
 mod faces;
@@ -20,6 +21,7 @@ mod mesh;
 mod params;
 mod placing;
 mod quality;
+mod refine;
 mod report;
 mod stage;
 mod stencil;
@@ -41,7 +43,8 @@ pub use quality::{
     tet_volume, volume_length_quality,
 };
 pub use report::{
-    FemReport, InterfaceReport, PatternReport, RegionReport, SeveralReport, StructureMode, TaggedStructure,
+    FemReport, InterfaceReport, PatternReport, RefineReport, RegionReport, SeveralReport, StructureMode,
+    TaggedStructure,
 };
 pub use stage::build_fem;
 pub use validate::{InterfaceTopology, TetTopology, validate};

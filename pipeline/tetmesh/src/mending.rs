@@ -1,12 +1,10 @@
 //! Mends the stuffed organ: one face-connected body, a boundary that is a closed 2-manifold, no small cavities.
 
 use crate::TetError;
+use crate::background::Background;
 use crate::faces::{Components, FaceTable, non_manifold};
 use crate::geometry::{cross, dot, volume6};
-use crate::lattice::Lattice;
-use crate::stuffing::{
-    Complex, Samples, Source, StuffCounts, WarpRule, Warped, cut_inside, interior_octree, warp,
-};
+use crate::stuffing::{Complex, Samples, Source, StuffCounts, WarpRule, Warped, cut_inside, warp};
 use palpate_volume::Implicit;
 use rustc_hash::{FxHashMap, FxHashSet};
 
@@ -15,6 +13,9 @@ const MEND_ROUNDS: usize = 40;
 /// Cavities up to this many lattice cells are filled: the lattice makes them where it closes a fold. Larger ones are
 /// the body's own.
 const CAVITY_CELLS: f64 = 4.0;
+/// The same where the lattice is refined towards the surface: a larger cavity is a cleft whose mouth stays closed, and
+/// filled it would be tissue where there is none.
+const CAVITY_CELLS_REFINED: f64 = 0.05;
 
 /// Keeps the largest face-connected piece; returns the number of pieces dropped and their volume.
 fn keep_largest(complex: &mut Complex) -> (usize, f64) {
@@ -77,26 +78,37 @@ fn compact(complex: &mut Complex) {
     complex.sources = sources;
 }
 
+/// Stuffs the inside of `f` without mending: good enough to measure by.
+pub(crate) fn stuff_roughly(
+    f: &dyn Implicit,
+    background: Background,
+    rule: &WarpRule,
+) -> Result<Complex, TetError> {
+    let samples = Samples::new(f, background, rule.linear)?;
+    let (mut complex, _) = cut_inside(&samples, &warp(&samples, rule), &FxHashSet::default());
+    keep_largest(&mut complex);
+    compact(&mut complex);
+    Ok(complex)
+}
+
 /// Stuffs the inside of `f`: one face-connected body whose boundary is a closed 2-manifold.
 ///
 /// Where sheets of the boundary touch along an edge or at a point (within one cell of each other), the sign of the
 /// lattice point there whose value is nearest to 0 is changed, and the warp and the cuts are redone. Small cavities
-/// are filled in the same way. `graded`: make the interior coarser, but not near these dividers.
+/// are filled in the same way.
 pub(crate) fn stuff(
     f: &dyn Implicit,
-    lattice: Lattice,
+    background: Background,
     rule: &WarpRule,
-    graded: Option<&[&dyn Implicit]>,
 ) -> Result<(Complex, StuffCounts), TetError> {
-    let mut samples = Samples::new(f, lattice, rule.linear)?;
+    let mut samples = Samples::new(f, background, rule.linear)?;
     let mut edited: FxHashSet<u32> = FxHashSet::default();
     let mut keep: FxHashSet<[u32; 4]> = FxHashSet::default();
     let mut filled = 0;
-    let edge_mm = samples.lattice.edge_mm;
+    let edge_mm = samples.background.edge_mm;
     for round in 0..=MEND_ROUNDS {
         let warped = warp(&samples, rule);
-        let octree = graded.map(|dividers| interior_octree(&samples, &warped, dividers));
-        let (mut complex, mut counts) = cut_inside(&samples, &warped, &keep, octree.as_ref());
+        let (mut complex, mut counts) = cut_inside(&samples, &warped, &keep);
         if complex.tets.is_empty() {
             return Err(TetError::Empty { edge_mm });
         }
@@ -107,7 +119,12 @@ pub(crate) fn stuff(
         let bad = non_manifold(&boundary, complex.points.len());
         let mut places: Vec<Vec<u32>> = bad.nodes.iter().map(|&n| vec![n]).collect();
         places.extend(bad.edges.iter().map(|e| e.to_vec()));
-        let cavities = small_cavities(&complex, &boundary, CAVITY_CELLS * edge_mm.powi(3));
+        let cells = if samples.background.is_graded() {
+            CAVITY_CELLS_REFINED
+        } else {
+            CAVITY_CELLS
+        };
+        let cavities = small_cavities(&complex, &boundary, cells * edge_mm.powi(3));
         if places.is_empty() && cavities.is_empty() {
             return Ok((complex, counts));
         }
@@ -213,7 +230,7 @@ fn fill_choice(
     let mut tets = Vec::new();
     if points.is_empty() {
         rim.sort_unstable();
-        samples.lattice.for_each_tet(|t| {
+        samples.background.for_each_tet(|t, _| {
             if t.iter()
                 .all(|id| warped.signs[*id as usize] == 0 && rim.binary_search(id).is_ok())
             {

@@ -28,6 +28,14 @@ pub struct FemParams {
     /// How many times `target_tets` may be used so that a thin structure conforms (unitless), before it is tagged
     /// instead. 1.5.
     pub refine_limit: f64,
+    /// The surface may lie this far from the mesh (lattice edges) before the lattice is made finer there. 0.5: what a
+    /// tet's own size does not explain. Smaller ones spend tets on mild places which closed clefts then lack.
+    pub cover_tolerance_edges: f64,
+    /// How often a cell may be halved where the mesh misses the surface; 2 reaches clefts a quarter of an edge wide.
+    /// 0: never.
+    pub refine_levels: u8,
+    /// How many times the tets of the uniform lattice may come of that (unitless). 1.6; at 1 nothing is made finer.
+    pub max_tets_factor: f64,
     /// How the optimiser works.
     pub improve: ImproveParams,
 }
@@ -44,6 +52,9 @@ impl Default for FemParams {
             lattice_shifts: 8,
             conforming_cells: 2.0,
             refine_limit: 1.5,
+            cover_tolerance_edges: 0.5,
+            refine_levels: 2,
+            max_tets_factor: 1.6,
             improve: ImproveParams::default(),
         }
     }

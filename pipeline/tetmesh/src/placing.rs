@@ -1,6 +1,8 @@
 //! Where the lattice goes: its edge, its position, and the levels of the fields that give the volumes asked for.
 
 use crate::assembly::{Assembly, Levels, Plan};
+use crate::background::Background;
+use crate::graded::Splits;
 use crate::{FemParams, TetError};
 use rayon::prelude::*;
 
@@ -66,9 +68,12 @@ impl Context<'_> {
         let tries: Vec<Result<_, TetError>> = (0..self.params.lattice_shifts.max(1))
             .into_par_iter()
             .map(|n| {
-                let a = self
-                    .plan
-                    .assemble(self.plan.lattice(edge_mm, halton(n))?, levels)?;
+                let a = self.plan.assemble(
+                    &self
+                        .plan
+                        .background(self.plan.lattice(edge_mm, halton(n))?, &Splits::default()),
+                    levels,
+                )?;
                 Ok((rank(&a), n))
             })
             .collect();
@@ -87,17 +92,17 @@ impl Context<'_> {
         }
     }
 
-    /// The mesh at this position with levels that bring the volumes near the references.
+    /// The mesh on this background with levels that bring the volumes near the references.
     pub fn settle(
         &self,
-        edge_mm: f64,
-        shift: [f64; 3],
+        background: &Background,
         mut levels: Levels,
     ) -> Result<(Assembly, Levels), TetError> {
+        let edge_mm = background.edge_mm;
         // The volumes jump a little as stencils change with the level: keep the best of the rounds.
         let mut best: Option<(f64, Assembly, Levels)> = None;
         for _ in 0..=LEVEL_ROUNDS {
-            let made = self.plan.assemble(self.plan.lattice(edge_mm, shift)?, &levels)?;
+            let made = self.plan.assemble(background, &levels)?;
             let used = levels.clone();
             let miss = volume_miss(&made, self.plan, self.volumes);
             correct_levels(&made, self.plan, self.volumes, edge_mm, &mut levels);
@@ -119,12 +124,14 @@ fn assemble_any(
     levels: &Levels,
     params: &FemParams,
 ) -> Result<Assembly, TetError> {
-    let mut result = plan.assemble(plan.lattice(edge_mm, halton(0))?, levels);
+    let at = |n: usize| {
+        let background = plan.background(plan.lattice(edge_mm, halton(n))?, &Splits::default());
+        plan.assemble(&background, levels)
+    };
+    let mut result = at(0);
     for n in 1..params.lattice_shifts.max(1) {
         match result {
-            Err(TetError::NonManifold { .. } | TetError::Inverted { .. }) => {
-                result = plan.assemble(plan.lattice(edge_mm, halton(n))?, levels);
-            }
+            Err(TetError::NonManifold { .. } | TetError::Inverted { .. }) => result = at(n),
             _ => break,
         }
     }

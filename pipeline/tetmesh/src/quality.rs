@@ -1,4 +1,5 @@
 use crate::TetMesh;
+use crate::geometry::{cross, dot, sub};
 use serde::{Deserialize, Serialize};
 
 /// The tet's edges in the order in which [`dihedral_angles`] gives them: (corner, corner).
@@ -12,25 +13,6 @@ pub const HIGH_MARKS_DEG: [f64; 5] = [125.0, 130.0, 150.0, 160.0, 165.0];
 
 /// Width of a bin of the dihedral histogram, degrees.
 pub const HISTOGRAM_BIN_DEG: f64 = 5.0;
-
-#[inline]
-pub(crate) fn sub(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
-}
-
-#[inline]
-pub(crate) fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-#[inline]
-pub(crate) fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
-}
 
 /// Inward normals of the four faces (face i lies opposite corner i), each of length 2 × area, and 6 × volume.
 #[inline]

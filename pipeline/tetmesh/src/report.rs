@@ -129,6 +129,18 @@ pub struct SeveralReport {
     pub merged_mm3: f64,
 }
 
+impl RefineReport {
+    /// Counts a tet at a change of size with these angles.
+    pub(crate) fn add(&mut self, angles: [f64; 6]) {
+        let low = angles.iter().copied().fold(f64::INFINITY, f64::min);
+        let high = angles.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        self.between += 1;
+        let d = self.dihedral_deg.get_or_insert([low, high]);
+        *d = [d[0].min(low), d[1].max(high)];
+        self.needed_work += usize::from(low < 12.0 || high > 160.0);
+    }
+}
+
 impl SeveralReport {
     /// Counts a tet with these angles.
     pub(crate) fn add(&mut self, angles: [f64; 6]) {
@@ -139,6 +151,37 @@ impl SeveralReport {
         *d = [d[0].min(low), d[1].max(high)];
         self.needed_work += usize::from(low < 12.0 || high > 160.0);
     }
+}
+
+/// How the lattice was made finer where the mesh missed the organ's surface, and what that gave.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct RefineReport {
+    /// Points of the organ's surface farther than this from the mesh ask for smaller cells, mm.
+    pub tolerance_mm: f64,
+    /// Points looked at.
+    pub samples: usize,
+    /// Of these, farther than the tolerance from the uniform mesh.
+    pub far_before: usize,
+    /// The same for the refined mesh: clefts that stay closed, parts that stay left out.
+    pub far_after: usize,
+    /// Rounds of halving.
+    pub rounds: usize,
+    /// Rounds taken back, because the mesh became too large or could not be made.
+    pub refused: usize,
+    /// How often the smallest cells are halved.
+    pub levels: u8,
+    /// Cells halved.
+    pub cells: usize,
+    /// Tets of the uniform mesh.
+    pub tets_before: usize,
+    /// Tets of the refined mesh, before optimisation.
+    pub tets_after: usize,
+    /// Of them, pieces of lattice tets that touch a change of size: no bound is proven.
+    pub between: usize,
+    /// Smallest and largest dihedral angle among these before optimisation, degrees.
+    pub dihedral_deg: Option<[f64; 2]>,
+    /// Of them, tets with an angle outside of 12°–160° before optimisation.
+    pub needed_work: usize,
 }
 
 /// How well the faces between a structure and its neighbours lie on its divider.
@@ -174,6 +217,8 @@ pub struct FemReport {
     pub patterns: Vec<PatternReport>,
     /// Tets shaped by several surfaces, before optimisation.
     pub several: SeveralReport,
+    /// Smaller cells where the mesh missed the surface; `None` where that is switched off.
+    pub refinement: Option<RefineReport>,
     /// Lattice points moved onto the outer surface.
     pub warped: usize,
     /// Lattice tets with all corners on the outer surface: dropped.

@@ -1,10 +1,14 @@
 use crate::assembly::{Assembly, Levels, Plan};
+use crate::background::Background;
 use crate::geometry::{cross, dot, length, lerp, sub, volume6};
+use crate::graded::Splits;
 use crate::interface::interface_divider;
 use crate::placing::{Context, find_edge};
 use crate::report::{
-    FemReport, InterfaceReport, PatternReport, RegionReport, SeveralReport, StructureMode, TaggedStructure,
+    FemReport, InterfaceReport, PatternReport, RefineReport, RegionReport, SeveralReport, StructureMode,
+    TaggedStructure,
 };
+use crate::stencil::BETWEEN;
 use crate::stuffing::WarpRule;
 use crate::surfaces::{Level, MAX_DIVIDERS};
 use crate::thickness::{fractions, thickness_mm};
@@ -98,6 +102,7 @@ pub fn build_fem(
         volumes: reference_volumes_mm3,
         params,
     };
+    let samples = crate::refine::samples(organ, edge_mm);
     let mut best: Option<(f64, TetMesh, FemReport)> = None;
     let mut error = None;
     for shift in context
@@ -105,9 +110,20 @@ pub fn build_fem(
         .into_iter()
         .take(POSITIONS_FINISHED)
     {
+        let on = |background: &Background, refinement: Option<RefineReport>| {
+            let (assembly, levels) = context.settle(background, levels.clone())?;
+            finish(
+                &context, assembly, refinement, &levels, edge_mm, &modes, &thickness,
+            )
+        };
         let made = context
-            .settle(edge_mm, shift, levels.clone())
-            .and_then(|(assembly, levels)| finish(&context, assembly, &levels, edge_mm, &modes, &thickness));
+            .refine(edge_mm, shift, &levels, &samples)
+            .and_then(|(background, refinement)| on(&background, refinement))
+            .or_else(|_| {
+                // Better a mesh that closes a cleft than none; the distances to the surface tell.
+                let base = plan.lattice(edge_mm, shift)?;
+                on(&plan.background(base, &Splits::default()), None)
+            });
         match made {
             Ok((mesh, report)) => {
                 let miss = shortfall(&report);
@@ -163,6 +179,7 @@ fn first_edge(organ: &dyn Implicit, volumes: &[f64], params: &FemParams) -> f64 
 fn finish(
     context: &Context,
     assembly: Assembly,
+    mut refinement: Option<RefineReport>,
     levels: &Levels,
     edge_mm: f64,
     modes: &[StructureMode],
@@ -174,7 +191,7 @@ fn finish(
         params,
     } = *context;
     let (organ, dividers) = (plan.organ, plan.dividers);
-    let (patterns, several) = by_pattern(&assembly, params);
+    let (patterns, several) = by_pattern(&assembly, params, refinement.as_mut());
     let mut mesh = TetMesh {
         vertices: assembly.complex.points,
         tets: assembly.complex.tets,
@@ -279,6 +296,7 @@ fn finish(
             merged_mm3: cut.merged_mm3,
             ..several
         },
+        refinement,
         warped: stuffed.warped,
         zzzz_dropped: stuffed.zzzz,
         filled_cavities: stuffed.cavities,
@@ -328,14 +346,19 @@ fn bound(params: &FemParams, dividers: usize) -> String {
 }
 
 /// Angles by stencil, and of the tets without a bound.
-fn by_pattern(a: &Assembly, params: &FemParams) -> (Vec<PatternReport>, SeveralReport) {
+fn by_pattern(
+    a: &Assembly,
+    params: &FemParams,
+    mut refinement: Option<&mut RefineReport>,
+) -> (Vec<PatternReport>, SeveralReport) {
     let mut patterns = PatternReport::empty(params.ordered, params.graded);
     let mut several = SeveralReport::default();
     for (t, &p) in a.complex.tets.iter().zip(&a.complex.patterns) {
         let angles = dihedral_angles(a.complex.corners(*t));
-        match patterns.get_mut(usize::from(p)) {
-            Some(entry) => entry.add(angles),
-            None => several.add(angles),
+        match (patterns.get_mut(usize::from(p)), &mut refinement) {
+            (Some(entry), _) => entry.add(angles),
+            (None, Some(refinement)) if p == BETWEEN => refinement.add(angles),
+            _ => several.add(angles),
         }
     }
     (patterns, several)

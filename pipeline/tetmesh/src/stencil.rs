@@ -37,7 +37,10 @@ pub(crate) const PATTERNS: [(&str, usize, usize); 10] = [
 /// Pattern of a tet with all corners on one surface: flat ones occur, no bound holds.
 pub(crate) const ZZZZ: u8 = 254;
 
-/// Pattern of a tet of the graded interior: after those of [`PATTERNS`], with angles within 45°–120°.
+/// Pattern of a piece of a tet that touches a change of size: no bound is proven.
+pub(crate) const BETWEEN: u8 = 253;
+
+/// Pattern of an uncut tet at a change of size or larger than asked for: after those of [`PATTERNS`], with angles within 45°–120°.
 pub(crate) const GRADED: u8 = PATTERNS.len() as u8;
 
 /// Index into [`PATTERNS`].

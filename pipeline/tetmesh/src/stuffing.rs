@@ -1,10 +1,9 @@
-//! Isosurface stuffing over a uniform lattice (Labelle & Shewchuk 2007): sample, warp, cut.
+//! Isosurface stuffing (Labelle & Shewchuk 2007): sample, warp, cut.
 
 use crate::TetError;
-use crate::geometry::lerp;
-use crate::graded::Octree;
-use crate::lattice::{LONG, Lattice, NEIGHBOURS};
-use crate::stencil::{Cutter, GRADED, PATTERNS, ZZZZ, cut_tet, lattice_diagonal, pattern_index};
+use crate::background::{Background, EdgeKind, Place};
+use crate::geometry::{distance, lerp};
+use crate::stencil::{BETWEEN, Cutter, GRADED, PATTERNS, ZZZZ, cut_tet, pattern_index};
 use palpate_volume::Implicit;
 use rayon::prelude::*;
 use rustc_hash::{FxHashMap, FxHashSet};
@@ -76,6 +75,9 @@ impl Complex {
     }
 }
 
+/// Share of an edge that is not one of the lattice's within which a cut attracts an end.
+const ALPHA_OTHER: f64 = 0.3;
+
 /// What happened while stuffing one surface.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct StuffCounts {
@@ -144,7 +146,7 @@ pub(crate) fn edge_root(f: &dyn Implicit, a: [f64; 3], b: [f64; 3], fa: f64, fb:
 /// The field on the lattice: values, signs and edge cuts, before any point moves.
 #[derive(Clone, Debug)]
 pub(crate) struct Samples {
-    pub lattice: Lattice,
+    pub background: Background,
     pub values: Vec<f64>,
     pub signs: Vec<i8>,
     /// Parameter of the cut from the smaller id, per crossed edge.
@@ -153,13 +155,13 @@ pub(crate) struct Samples {
 }
 
 impl Samples {
-    pub fn new(f: &dyn Implicit, lattice: Lattice, linear: bool) -> Result<Self, TetError> {
-        let values: Vec<f64> = (0..lattice.len() as u32)
+    pub fn new(f: &dyn Implicit, background: Background, linear: bool) -> Result<Self, TetError> {
+        let values: Vec<f64> = (0..background.len() as u32)
             .into_par_iter()
             .with_min_len(512)
             .map(|id| {
-                if lattice.is_point(id) {
-                    f.value(lattice.position(lattice.triple(id)))
+                if background.is_point(id) {
+                    f.value(background.position(id))
                 } else {
                     f64::INFINITY
                 }
@@ -170,26 +172,26 @@ impl Samples {
             .map(|&v| if v < 0.0 { -1 } else { i8::from(v > 0.0) })
             .collect();
         for (id, v) in values.iter().enumerate() {
-            if !v.is_finite() && lattice.is_point(id as u32) {
+            if !v.is_finite() && background.is_point(id as u32) {
                 return Err(TetError::NotFinite {
                     found: *v,
-                    position: lattice.position(lattice.triple(id as u32)),
+                    position: background.position(id as u32),
                 });
             }
         }
         if !signs.iter().any(|&s| s < 0) {
             return Err(TetError::Empty {
-                edge_mm: lattice.edge_mm,
+                edge_mm: background.edge_mm,
             });
         }
         let mut out = Self {
-            lattice,
+            background,
             values,
             signs,
             cuts: FxHashMap::default(),
             linear,
         };
-        let found: Vec<Vec<((u32, u32), f64)>> = (0..out.lattice.len() as u32)
+        let found: Vec<Vec<((u32, u32), f64)>> = (0..out.background.len() as u32)
             .collect::<Vec<_>>()
             .par_chunks(1024)
             .map(|ids| {
@@ -212,17 +214,12 @@ impl Samples {
     }
 
     #[inline]
-    pub fn for_each_neighbour(&self, id: u32, mut f: impl FnMut(u32, bool)) {
-        let t = self.lattice.triple(id);
-        for (k, d) in NEIGHBOURS.iter().enumerate() {
-            if let Some(n) = self.lattice.id([t[0] + d[0], t[1] + d[1], t[2] + d[2]]) {
-                f(n, k < LONG);
-            }
-        }
+    pub fn for_each_neighbour(&self, id: u32, f: impl FnMut(u32, EdgeKind)) {
+        self.background.for_each_neighbour(id, f);
     }
 
     fn position(&self, id: u32) -> [f64; 3] {
-        self.lattice.position(self.lattice.triple(id))
+        self.background.position(id)
     }
 
     fn root(&self, f: &dyn Implicit, a: u32, b: u32) -> f64 {
@@ -279,46 +276,52 @@ pub(crate) fn warp(samples: &Samples, rule: &WarpRule) -> Warped {
     let mut near: Vec<u32> = samples.cuts.keys().flat_map(|k| [k.0, k.1]).collect();
     near.sort_unstable();
     near.dedup();
-    let h = samples.lattice.edge_mm;
-    let short = 0.75f64.sqrt();
-    // Nearest violating cut of a point: (other end, parameter).
-    let violation = |id: u32, signs: &[i8], allow: &dyn Fn(u32) -> bool| -> Option<(u32, f64)> {
+    // Violating cuts of a point, the nearest first: (distance, other end, parameter).
+    let violations = |id: u32, signs: &[i8], allow: &dyn Fn(u32) -> bool| -> Vec<(f64, u32, f64)> {
         let s = signs[id as usize];
+        let mut found = Vec::new();
         if s == 0 {
-            return None;
+            return found;
         }
-        let mut best: Option<(f64, u32, f64)> = None;
-        samples.for_each_neighbour(id, |n, long| {
+        samples.for_each_neighbour(id, |n, kind| {
             if signs[n as usize] != -s {
                 return;
             }
             let Some(t) = samples.cut(id, n) else { return };
-            let (alpha, scale) = if long {
-                (rule.alpha_long, h)
-            } else {
-                (rule.alpha_short, short * h)
+            let alpha = match kind {
+                EdgeKind::Long => rule.alpha_long,
+                EdgeKind::Short => rule.alpha_short,
+                EdgeKind::Other => ALPHA_OTHER,
             };
-            if t < alpha && allow(n) && best.is_none_or(|b| t * scale < b.0) {
-                best = Some((t * scale, n, t));
+            if t < alpha && allow(n) {
+                found.push((t * distance(samples.position(id), samples.position(n)), n, t));
             }
         });
-        best.map(|b| (b.1, b.2))
+        // Neighbours come in a fixed order, and the sort is stable.
+        found.sort_by(|a, b| a.0.total_cmp(&b.0));
+        found
     };
-    let apply = |id: u32, (n, t): (u32, f64), out: &mut Warped| {
-        let p = lerp(samples.position(id), samples.position(n), t);
-        out.moved.insert(id, p);
-        out.signs[id as usize] = 0;
+    // Moves a point to the nearest cut to which it may go.
+    let apply = |id: u32, found: &[(f64, u32, f64)], out: &mut Warped| -> bool {
+        for &(_, n, t) in found {
+            let p = samples.background.along(id, n, t);
+            if samples.background.may_move(id, p, &out.signs, &out.moved) {
+                out.moved.insert(id, p);
+                out.signs[id as usize] = 0;
+                return true;
+            }
+        }
+        false
     };
     if rule.ordered {
         loop {
             let mut any = false;
             for &id in &near {
                 if out.signs[id as usize] > 0 {
-                    let found = violation(id, &out.signs, &|n| violation(n, &out.signs, &|_| true).is_none());
-                    if let Some(v) = found {
-                        apply(id, v, &mut out);
-                        any = true;
-                    }
+                    let found = violations(id, &out.signs, &|n| {
+                        violations(n, &out.signs, &|_| true).is_empty()
+                    });
+                    any |= apply(id, &found, &mut out);
                 }
             }
             if !any {
@@ -326,17 +329,15 @@ pub(crate) fn warp(samples: &Samples, rule: &WarpRule) -> Warped {
             }
         }
         for &id in &near {
-            if out.signs[id as usize] < 0
-                && let Some(v) = violation(id, &out.signs, &|_| true)
-            {
-                apply(id, v, &mut out);
+            if out.signs[id as usize] < 0 {
+                let found = violations(id, &out.signs, &|_| true);
+                apply(id, &found, &mut out);
             }
         }
     }
     for &id in &near {
-        if let Some(v) = violation(id, &out.signs, &|_| true) {
-            apply(id, v, &mut out);
-        }
+        let found = violations(id, &out.signs, &|_| true);
+        apply(id, &found, &mut out);
     }
     out
 }
@@ -349,6 +350,7 @@ struct Inside<'a> {
     node_of_point: Vec<u32>,
     node_of_cut: FxHashMap<(u32, u32), u32>,
     counts: StuffCounts,
+    place: Place,
 }
 
 impl Inside<'_> {
@@ -395,8 +397,7 @@ impl Cutter for Inside<'_> {
     }
 
     fn diagonal_at_first(&self, a: u32, b: u32, e: u32) -> bool {
-        let l = &self.samples.lattice;
-        lattice_diagonal(l.triple(a), l.triple(b), l.triple(e))
+        self.samples.background.diagonal_at_first(a, b, e)
     }
 
     fn middle(&mut self, corners: [u32; 6]) -> u32 {
@@ -420,9 +421,16 @@ impl Cutter for Inside<'_> {
     fn emit(&mut self, _: i8, own: usize, other: usize, tet: [u32; 4]) {
         let t = tet.map(|c| if c >= CUT_BASE { c - CUT_BASE } else { self.node(c) });
         let pattern = pattern_index(own, other);
-        self.counts.patterns[pattern] += 1;
+        let whole = (own, other) == (4, 0);
         self.complex.tets.push(t);
-        self.complex.patterns.push(pattern as u8);
+        self.complex.patterns.push(match self.place {
+            Place::Plain => {
+                self.counts.patterns[pattern] += 1;
+                pattern as u8
+            }
+            Place::Grown | Place::Between if whole => GRADED,
+            _ => BETWEEN,
+        });
     }
 }
 
@@ -432,23 +440,21 @@ pub(crate) fn cut_inside(
     samples: &Samples,
     warped: &Warped,
     keep: &FxHashSet<[u32; 4]>,
-    octree: Option<&Octree>,
 ) -> (Complex, StuffCounts) {
     let mut to = Inside {
         samples,
         warped,
         complex: Complex::default(),
-        node_of_point: vec![u32::MAX; samples.lattice.len()],
+        node_of_point: vec![u32::MAX; samples.background.len()],
         node_of_cut: FxHashMap::default(),
         counts: StuffCounts {
             warped: warped.moved.len(),
             ..StuffCounts::default()
         },
+        place: Place::Plain,
     };
-    samples.lattice.for_each_tet(|v| {
-        if octree.is_some_and(|o| v.iter().any(|&id| o.is_coarse(samples.lattice.triple(id)))) {
-            return;
-        }
+    samples.background.for_each_tet(|v, place| {
+        to.place = place;
         let s = v.map(|id| warped.signs[id as usize]);
         if s.iter().any(|&x| x < 0) {
             cut_tet(v, s, &mut to);
@@ -464,56 +470,7 @@ pub(crate) fn cut_inside(
             }
         }
     });
-    if let Some(octree) = octree {
-        octree.for_each_coarse_tet(|t| {
-            // Leaves that grew lie inside of the lattice's box with all that they touch.
-            if let [Some(a), Some(b), Some(c), Some(d)] = t.map(|t| samples.lattice.id(t)) {
-                let t = [a, b, c, d].map(|id| to.node(id));
-                to.complex.tets.push(t);
-                to.complex.patterns.push(GRADED);
-            }
-        });
-    }
     (to.complex, to.counts)
-}
-
-/// The octree whose coarse leaves hold neither a cut nor a moved point, and keep clear of the dividers.
-pub(crate) fn interior_octree<'a>(
-    samples: &'a Samples,
-    warped: &Warped,
-    dividers: &[&dyn Implicit],
-) -> Octree<'a> {
-    let lattice = &samples.lattice;
-    // Which dividers hold a point; `None` where it is not plainly inside the organ or near a divider.
-    let side: Vec<Option<u64>> = (0..lattice.len() as u32)
-        .into_par_iter()
-        .with_min_len(512)
-        .map(|id| {
-            if warped.signs[id as usize] >= 0 || !lattice.is_point(id) {
-                return None;
-            }
-            let p = samples.position(id);
-            let mut inside = 0u64;
-            for (n, d) in dividers.iter().enumerate() {
-                let v = d.value(p);
-                if v.is_nan() || v.abs() < 0.9 * lattice.edge_mm {
-                    return None;
-                }
-                inside |= u64::from(v < 0.0) << n;
-            }
-            Some(inside)
-        })
-        .collect();
-    Octree::new(lattice, |c| {
-        let centre: [i32; 3] = std::array::from_fn(|a| lattice.lo[a] + 2 * c[a] as i32 + 1);
-        let at = |d: [i32; 3]| {
-            lattice
-                .id(std::array::from_fn(|a| centre[a] + d[a]))
-                .and_then(|id| side[id as usize])
-        };
-        let own = at([0; 3]);
-        own.is_some() && NEIGHBOURS.iter().all(|&d| at(d) == own)
-    })
 }
 
 #[cfg(test)]

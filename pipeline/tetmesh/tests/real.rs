@@ -63,7 +63,11 @@ fn meets_the_marks(a: &Anatomy) {
         assert!(r.before.min_dihedral_deg > 15.0 && r.before.max_dihedral_deg < 150.0);
     }
     // A structure just under two cells thick takes a smaller edge.
-    assert!((0.9..1.15).contains(&(r.tets as f64 / 13_000.0)));
+    let refinement = r.refinement.as_ref().unwrap();
+    assert!((0.9..1.15).contains(&(refinement.tets_before as f64 / 13_000.0)));
+    // Smaller cells in clefts come on top.
+    assert!(refinement.far_after == 0 && refinement.tets_after as f64 <= 1.6 * refinement.tets_before as f64);
+    assert!((r.tets as f64 / refinement.tets_after as f64 - 1.0).abs() < 0.1);
     assert_eq!((r.topology.fault(), r.topology.boundary_euler), (None, 2));
     assert!(r.patterns.iter().all(|p| p.violations == 0), "{:?}", r.patterns);
     assert!((r.topology.region_volumes_mm3.iter().sum::<f64>() / volumes[0] - 1.0).abs() < 0.005);

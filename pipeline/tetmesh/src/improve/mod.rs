@@ -198,8 +198,8 @@ fn mean_edge(mesh: &TetMesh) -> f64 {
     let (mut sum, mut n) = (0.0, 0usize);
     for tet in &mesh.tets {
         for [i, j] in crate::TET_EDGES {
-            let d = crate::quality::sub(mesh.vertices[tet[i] as usize], mesh.vertices[tet[j] as usize]);
-            sum += crate::quality::dot(d, d).sqrt();
+            let d = crate::geometry::sub(mesh.vertices[tet[i] as usize], mesh.vertices[tet[j] as usize]);
+            sum += crate::geometry::dot(d, d).sqrt();
             n += 1;
         }
     }

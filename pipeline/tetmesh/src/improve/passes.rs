@@ -161,11 +161,11 @@ impl Improver<'_> {
         let mut edges: Vec<(f64, u32, u32)> = TET_EDGES
             .iter()
             .map(|&[i, j]| {
-                let d = crate::quality::sub(
+                let d = crate::geometry::sub(
                     self.complex.pos[tet[i] as usize],
                     self.complex.pos[tet[j] as usize],
                 );
-                (crate::quality::dot(d, d), tet[i], tet[j])
+                (crate::geometry::dot(d, d), tet[i], tet[j])
             })
             .collect();
         edges.sort_by(|a, b| a.0.total_cmp(&b.0));

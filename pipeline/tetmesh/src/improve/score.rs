@@ -1,6 +1,7 @@
 //! The figure of merit of one tet and its gradient with respect to one corner.
 
-use crate::quality::{cross, dot, face_normals};
+use crate::geometry::{cross, dot};
+use crate::quality::face_normals;
 
 /// Angles at which the score of a tet is exactly 1.
 ///
@@ -134,14 +135,14 @@ pub(super) fn least_of_hull(g: &[[f64; 3]]) -> Option<[f64; 3]> {
     for i in 0..g.len() {
         offer(g[i]);
         for j in 0..i {
-            let d = crate::quality::sub(g[j], g[i]);
+            let d = crate::geometry::sub(g[j], g[i]);
             let dd = dot(d, d);
             let t = if dd > 0.0 { -dot(g[i], d) / dd } else { 0.0 };
             if t > 0.0 && t < 1.0 {
                 offer(std::array::from_fn(|a| g[i][a] + t * d[a]));
             }
             for k in 0..j {
-                let e = crate::quality::sub(g[k], g[i]);
+                let e = crate::geometry::sub(g[k], g[i]);
                 let (de, ee) = (dot(d, e), dot(e, e));
                 let det = dd * ee - de * de;
                 if det <= 1e-12 * dd * ee {

@@ -1,7 +1,7 @@
 //! The surfaces that vertices are held on, and the classes of vertices that follow from the mesh.
 
 use super::complex::{Complex, NONE, Partition};
-use crate::quality::{cross, dot, sub};
+use crate::geometry::{cross, dot, sub};
 use palpate_volume::Implicit;
 
 /// The zero sets that a mesh conforms to. The values already include whatever level offset the mesh was made with.

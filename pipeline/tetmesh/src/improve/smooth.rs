@@ -4,7 +4,7 @@ use super::Improver;
 use super::complex::SurfaceFace;
 use super::score::{Slope, least_of_hull};
 use super::sheets::Frame;
-use crate::quality::{cross, dot, sub};
+use crate::geometry::{cross, dot, sub};
 
 /// Most functions that share in choosing a direction.
 const ACTIVE: usize = 9;

@@ -3,7 +3,7 @@
 use super::Improver;
 use super::params::{ImproveParams, VolumeChange};
 use super::smooth::GAIN;
-use crate::quality::{cross, dot, sub};
+use crate::geometry::{cross, dot, sub};
 use crate::tet_volume;
 
 /// What the volumes of the whole (0) and of the regions 1, 2, … were and shall be, mm³.

@@ -1,12 +1,13 @@
 use super::*;
 use crate::dihedral_angles;
 use crate::faces::{FaceTable, non_manifold};
+use crate::lattice::Lattice;
 use crate::mending::stuff;
 
 struct Ball([f64; 3], f64);
 impl Implicit for Ball {
     fn value(&self, p: [f64; 3]) -> f64 {
-        crate::geometry::distance(p, self.0) - self.1
+        distance(p, self.0) - self.1
     }
     fn bounds(&self) -> ([f64; 3], [f64; 3]) {
         (self.0.map(|v| v - self.1), self.0.map(|v| v + self.1))
@@ -44,9 +45,9 @@ fn angles(c: &Complex) -> (f64, f64) {
     )
 }
 
-fn lattice(f: &dyn Implicit, h: f64, origin: [f64; 3]) -> Lattice {
+fn lattice(f: &dyn Implicit, h: f64, origin: [f64; 3]) -> Background {
     let (lo, hi) = f.bounds();
-    Lattice::covering(lo, hi, h, origin).unwrap()
+    Background::uniform(Lattice::covering(lo, hi, h, origin).unwrap())
 }
 
 #[test]
@@ -98,7 +99,7 @@ fn ball_matches_the_table() {
             2074,
         ),
     ] {
-        let (c, counts) = stuff(&ball, lattice(&ball, h, [0.0; 3]), &rule, None).unwrap();
+        let (c, counts) = stuff(&ball, lattice(&ball, h, [0.0; 3]), &rule).unwrap();
         let boundary = FaceTable::new(&c.tets, c.points.len(), |_| true).boundary(&c.tets);
         let a: f64 = boundary
             .iter()
@@ -141,7 +142,7 @@ fn noise_conforms_and_never_inverts() {
         let l = lattice(&noise, 1.0, [0.0; 3]);
         let samples = Samples::new(&noise, l, true).unwrap();
         for rule in [WarpRule::ARBITRARY, WarpRule::ORDERED] {
-            let (c, counts) = cut_inside(&samples, &warp(&samples, &rule), &FxHashSet::default(), None);
+            let (c, counts) = cut_inside(&samples, &warp(&samples, &rule), &FxHashSet::default());
             let mesh = crate::TetMesh {
                 vertices: c.points.clone(),
                 tets: c.tets.clone(),
@@ -171,7 +172,7 @@ fn noise_conforms_and_never_inverts() {
 fn noise_is_mended_to_one_manifold_body() {
     for seed in 1..=4 {
         let noise = Noise(seed);
-        let (c, counts) = stuff(&noise, lattice(&noise, 1.0, [0.0; 3]), &WarpRule::ARBITRARY, None).unwrap();
+        let (c, counts) = stuff(&noise, lattice(&noise, 1.0, [0.0; 3]), &WarpRule::ARBITRARY).unwrap();
         let mesh = crate::TetMesh {
             vertices: c.points,
             tets: c.tets,
@@ -191,7 +192,7 @@ fn noise_is_mended_to_one_manifold_body() {
 fn whole_cells_translate_the_mesh_and_half_cells_still_conform() {
     let at = |d: f64| Ball([0.13 + d, 0.21 + d, -0.17 + d], 3.3);
     let make = |d: f64| {
-        stuff(&at(d), lattice(&at(d), 0.5, [0.0; 3]), &WarpRule::ARBITRARY, None)
+        stuff(&at(d), lattice(&at(d), 0.5, [0.0; 3]), &WarpRule::ARBITRARY)
             .unwrap()
             .0
     };
