@@ -6,7 +6,7 @@ use crate::{Inputs, Progress, Recipe, rows};
 use anyhow::Context;
 use palpate_package as package;
 use palpate_particles::{Clusters, ParticleReport, ParticleSet, build_particles};
-use palpate_skinning::{SkinReport, SkinWeights, bind};
+use palpate_skinning::{SkinReport, SkinWeights, bind, points_far_from_members};
 use palpate_surface::{SurfaceReport, TriMesh, build_surface};
 use palpate_tetmesh::{EmbeddingReport, FemReport, TetMesh, build_embedding, build_fem};
 use palpate_volume::{
@@ -141,7 +141,11 @@ pub fn build(inputs: &Inputs, recipe: &Recipe, progress: &Progress) -> anyhow::R
         anatomy.structures.len(),
         recipe,
     )?;
-    stages.push(rows::skinning(&skins.reports, clock.elapsed().as_secs_f64())?);
+    stages.push(rows::skinning(
+        &skins.reports,
+        skins.far,
+        clock.elapsed().as_secs_f64(),
+    )?);
 
     progress.stage("package");
     let clock = Instant::now();
@@ -262,6 +266,8 @@ struct Skins {
     embedding: SkinWeights,
     fiducials: SkinWeights,
     reports: Vec<(String, SkinReport)>,
+    /// Points of the organ's and structures' surfaces without a member of their first cluster within two radii.
+    far: usize,
 }
 
 impl Skins {
@@ -285,7 +291,24 @@ impl Skins {
             .iter()
             .take(1 + structures)
             .map(|(name, mesh)| one(name, &mesh.vertices))
-            .collect::<anyhow::Result<_>>()?;
+            .collect::<anyhow::Result<Vec<_>>>()?;
+        let reach = 2.0 * recipe.particles.radius_mm;
+        let far = side
+            .surfaces
+            .iter()
+            .zip(&surfaces)
+            .map(|((_, mesh), w)| {
+                let c = &side.clusters;
+                points_far_from_members(
+                    &mesh.vertices,
+                    w,
+                    &c.offsets,
+                    &c.members,
+                    &side.particles.positions,
+                    reach,
+                )
+            })
+            .sum();
         let embedding = one("embedding", &embedding.vertices)?;
         let fiducials = if fiducials.names.is_empty() {
             SkinWeights::default()
@@ -297,6 +320,7 @@ impl Skins {
             embedding,
             fiducials,
             reports,
+            far,
         })
     }
 }

@@ -17,6 +17,8 @@ mod rows;
 mod stage;
 /// What a build prints.
 pub mod summary;
+/// The `verify` command.
+pub mod verify;
 
 pub use build::{Built, build};
 pub use compare::{BodyComparison, compare};

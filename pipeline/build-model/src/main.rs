@@ -41,14 +41,18 @@ fn run(cli: Cli) -> anyhow::Result<()> {
         None => run_build(cli.build),
         Some(Command::Inspect { package }) => print(&palpate_package::inspect(&package)?),
         Some(Command::Verify { package }) => {
-            let report = palpate_package::verify(&package)?;
+            let report = build_model::verify::verify(&package)?;
             print(&report.to_string())?;
-            anyhow::ensure!(
-                report.passed(),
-                "the package fails its checks: {}",
-                package.display()
-            );
-            Ok(())
+            match report.failures().next() {
+                None => Ok(()),
+                Some(c) => anyhow::bail!(
+                    "the package fails its checks, first {:?} of {}: {}: {}",
+                    c.what,
+                    c.entry,
+                    c.fault,
+                    package.display()
+                ),
+            }
         }
         Some(Command::Export {
             package,

@@ -246,6 +246,22 @@ pub(crate) fn particles(p: &ParticleReport, seconds: f64) -> anyhow::Result<Stag
                 p.coverage_max_mm.unwrap_or(0.0)
             )
         })
+        .row_if(p.clusters_across_gaps > 0, "across gaps", || {
+            format!(
+                "{} clusters with {} memberships on the far side",
+                p.clusters_across_gaps, p.memberships_across_gaps
+            )
+        })
+        .row_if(p.repairs.clusters_parted > 0, "parted at gaps", || {
+            format!("{} clusters", p.repairs.clusters_parted)
+        })
+        .warn_if(p.clusters_across_gaps > 0, || {
+            format!(
+                "{} of {} clusters hold particles from both sides of a gap (hilum, cleft) and move them as one; \
+                 split_at_gaps = true in the recipe's [particles] parts them",
+                p.clusters_across_gaps, p.clusters
+            )
+        })
         .warn_if(p.regions.iter().any(|r| r.clusters == 0), || {
             "a structure leads no cluster: it cannot have a stiffness of its own at this radius".into()
         })
@@ -257,7 +273,12 @@ pub(crate) fn particles(p: &ParticleReport, seconds: f64) -> anyhow::Result<Stag
         }))
 }
 
-pub(crate) fn skinning(reports: &[(String, SkinReport)], seconds: f64) -> anyhow::Result<StageRecord> {
+/// `far`: surface points that hang on a cluster without a member near them.
+pub(crate) fn skinning(
+    reports: &[(String, SkinReport)],
+    far: usize,
+    seconds: f64,
+) -> anyhow::Result<StageRecord> {
     let mut r = StageRecord::new("skinning", seconds);
     r.report = by_name(reports.iter().map(|(n, s)| (n.as_str(), s)))?;
     for (name, s) in reports {
@@ -266,7 +287,11 @@ pub(crate) fn skinning(reports: &[(String, SkinReport)], seconds: f64) -> anyhow
             format!("{} points, rest error {:.1e} mm", s.points, s.rest_error_max_mm),
         );
     }
-    Ok(r)
+    Ok(r.warn_if(far > 0, || {
+        format!(
+            "{far} surface points hang on a cluster none of whose particles is near: it lies across a gap"
+        )
+    }))
 }
 
 pub(crate) fn fem(f: &FemReport, names: &[&str], seconds: f64) -> anyhow::Result<StageRecord> {

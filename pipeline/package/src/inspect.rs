@@ -111,7 +111,7 @@ fn table(out: &mut String, opened: &Opened) -> std::fmt::Result {
         ("FEM mesh", &m.fem.vertices, &m.fem.tets),
         ("embedding", &m.embedding.vertices, &m.embedding.tets),
     ] {
-        let (least, most) = measure::dihedral_range(vertices, tets);
+        let [(least, _), (most, _)] = measure::dihedral_range(vertices, tets);
         writeln!(
             out,
             "{name:<13} {} tets, {} vertices, {:.3} mL, dihedral angles {least:.1}°–{most:.1}°",

@@ -22,9 +22,10 @@ mod model;
 mod npy;
 mod topology;
 mod validate;
+mod vector;
 mod verify;
 
-pub use check::{Check, VerifyReport};
+pub use check::{Check, Mark, VerifyReport};
 pub use error::PackageError;
 pub use export::{Format, export};
 pub use file::{Opened, ReadOptions, Written};

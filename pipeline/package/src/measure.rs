@@ -2,48 +2,32 @@
 
 use crate::check::Found;
 use crate::model::{Affine34, Clusters, ModelPackage};
+use crate::vector::{cross, det, dot, point, sub, volume6};
 use crate::{PackageError, topology};
 
 /// Pairs of memberships that are looked at, 8 bytes each.
 const MAX_SHARES: u64 = 1 << 26;
-
-fn point(p: [f32; 3]) -> [f64; 3] {
-    p.map(f64::from)
-}
-
-fn sub(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    std::array::from_fn(|i| a[i] - b[i])
-}
-
-fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
-}
-
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
 
 /// Volume and triangle shape of a closed surface.
 pub(crate) struct SurfaceQuality {
     pub(crate) volume_mm3: f64,
     pub(crate) area_mm2: f64,
     pub(crate) min_angle_deg: f64,
+    /// The triangle that has it.
+    pub(crate) min_angle_at: usize,
     /// Mean of 4√3 · area / sum of squared edges: 1 for an equilateral triangle.
     pub(crate) mean_quality: f64,
 }
 
 pub(crate) fn surface_quality(vertices: &[[f32; 3]], triangles: &[[u32; 3]]) -> SurfaceQuality {
-    let (mut volume, mut area, mut least, mut quality) = (0.0, 0.0, f64::INFINITY, 0.0);
+    let (mut volume, mut area, mut quality) = (0.0, 0.0, 0.0);
+    let mut least = (f64::INFINITY, 0);
     let o = triangles
         .first()
         .map_or([0.0; 3], |t| point(vertices[t[0] as usize]));
-    for t in triangles {
+    for (i, t) in triangles.iter().enumerate() {
         let p = t.map(|v| sub(point(vertices[v as usize]), o));
-        volume += dot(p[0], cross(p[1], p[2])) / 6.0;
+        volume += det(p[0], p[1], p[2]) / 6.0;
         let n = cross(sub(p[1], p[0]), sub(p[2], p[0]));
         let twice = dot(n, n).sqrt();
         area += 0.5 * twice;
@@ -51,32 +35,31 @@ pub(crate) fn surface_quality(vertices: &[[f32; 3]], triangles: &[[u32; 3]]) -> 
         for k in 0..3 {
             let (u, v) = (sub(p[(k + 1) % 3], p[k]), sub(p[(k + 2) % 3], p[k]));
             squares += dot(u, u);
-            least = least.min(twice.atan2(dot(u, v)).to_degrees());
+            let angle = twice.atan2(dot(u, v)).to_degrees();
+            if angle < least.0 {
+                least = (angle, i);
+            }
         }
         quality += 2.0 * 3.0f64.sqrt() * twice / squares;
     }
     SurfaceQuality {
         volume_mm3: volume,
         area_mm2: area,
-        min_angle_deg: least,
+        min_angle_deg: least.0,
+        min_angle_at: least.1,
         mean_quality: quality / triangles.len().max(1) as f64,
     }
 }
 
 /// Volume of all tets in mm³.
 pub(crate) fn tet_volume(vertices: &[[f32; 3]], tets: &[[u32; 4]]) -> f64 {
-    tets.iter()
-        .map(|t| {
-            let [a, b, c, d] = t.map(|v| point(vertices[v as usize]));
-            dot(sub(b, a), cross(sub(c, a), sub(d, a))) / 6.0
-        })
-        .sum()
+    tets.iter().map(|t| volume6(vertices, t) / 6.0).sum()
 }
 
-/// Smallest and largest dihedral angle in degrees.
-pub(crate) fn dihedral_range(vertices: &[[f32; 3]], tets: &[[u32; 4]]) -> (f64, f64) {
-    let (mut least, mut most) = (f64::INFINITY, f64::NEG_INFINITY);
-    for t in tets {
+/// Smallest and largest dihedral angle in degrees, each with its tet.
+pub(crate) fn dihedral_range(vertices: &[[f32; 3]], tets: &[[u32; 4]]) -> [(f64, usize); 2] {
+    let (mut least, mut most) = ((f64::INFINITY, 0), (f64::NEG_INFINITY, 0));
+    for (at, t) in tets.iter().enumerate() {
         let n: [[f64; 3]; 4] = std::array::from_fn(|f| {
             let [a, b, c] = topology::face(t, f).map(|v| point(vertices[v as usize]));
             let n = cross(sub(b, a), sub(c, a));
@@ -86,12 +69,16 @@ pub(crate) fn dihedral_range(vertices: &[[f32; 3]], tets: &[[u32; 4]]) -> (f64, 
         for i in 0..4 {
             for j in i + 1..4 {
                 let angle = (-dot(n[i], n[j])).clamp(-1.0, 1.0).acos().to_degrees();
-                least = least.min(angle);
-                most = most.max(angle);
+                if angle < least.0 {
+                    least = (angle, at);
+                }
+                if angle > most.0 {
+                    most = (angle, at);
+                }
             }
         }
     }
-    (least, most)
+    [least, most]
 }
 
 /// Number of pieces of the graph in which clusters that share at least three particles are neighbours. `None` where
@@ -145,11 +132,11 @@ fn inverse(m: &Affine34) -> Affine34 {
         cross(row(2), row(0)),
         cross(row(0), row(1)),
     ];
-    let det = dot(row(0), c[0]);
+    let scale = dot(row(0), c[0]);
     let mut out = [[0.0; 4]; 3];
     for i in 0..3 {
         for j in 0..3 {
-            out[i][j] = c[j][i] / det;
+            out[i][j] = c[j][i] / scale;
         }
         out[i][3] = -(0..3).map(|j| out[i][j] * m[j][3]).sum::<f64>();
     }
@@ -197,8 +184,8 @@ pub(crate) fn embedding_cover(model: &ModelPackage) -> Result<Found, PackageErro
             )
         })?;
         let (u, v, w) = (sub(b, a), sub(c, a), sub(d, a));
-        let det = dot(u, cross(v, w));
-        let rows = [cross(v, w), cross(w, u), cross(u, v)].map(|r| r.map(|x| x / det));
+        let scale = det(u, v, w);
+        let rows = [cross(v, w), cross(w, u), cross(u, v)].map(|r| r.map(|x| x / scale));
         for k in range[2].0..range[2].1 {
             for j in range[1].0..range[1].1 {
                 for i in range[0].0..range[0].1 {

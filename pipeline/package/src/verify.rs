@@ -2,12 +2,21 @@ use crate::check::{Found, Sink, VerifyReport};
 use crate::decode::decode;
 use crate::measure;
 use crate::model::{ModelPackage, Skin};
-use crate::validate::{check_closed, validate};
+use crate::validate::{check_closed, pieces, validate};
 use crate::{PackageError, SCHEMA, file, topology};
 use std::path::Path;
 
 /// How far blending in the rest pose may move a point, mm.
 const REST_POSE_MM: f64 = 1e-4;
+/// Marks of quality that builds are made to meet.
+const LEAST_ANGLE_DEG: f64 = 15.0;
+const LEAST_MEAN_QUALITY: f64 = 0.9;
+const LEAST_DIHEDRAL_DEG: f64 = 12.0;
+const MOST_DIHEDRAL_DEG: f64 = 160.0;
+const VOLUME_PERCENT: f64 = 1.0;
+/// Particles times radius cubed over volume: 1.0 for the published sampler.
+const PACKING_USUAL: (f64, f64) = (0.5, 2.0);
+const PACKING_POSSIBLE: (f64, f64) = (0.05, 20.0);
 
 /// Checks all that the runtime relies on, and reports figures of quality with it. A damaged package gives a report
 /// with a failed check, not an error.
@@ -67,9 +76,16 @@ fn beyond(model: &ModelPackage, sink: &mut Sink) -> Result<(), PackageError> {
             Ok(Found::worst(worst, "mm, at most 0.0001"))
         })?;
     }
-    if let Some(pieces) = measure::cluster_pieces(&model.clusters) {
-        sink.check("pieces of the cluster graph", "clusters", || {
-            Ok(Found::figure(pieces as f64).named("pieces"))
+    if let Some(groups) = measure::cluster_pieces(&model.clusters) {
+        sink.check("the cluster graph holds together", "clusters", || {
+            let bodies = model.organ().map_or(1, |s| {
+                let last = pieces(&s.triangles, s.vertices.len()).into_iter().max();
+                last.map_or(1, |n| n as usize + 1)
+            });
+            let limit = format!("pieces, at most {bodies}, as the organ has");
+            Ok(Found::worst(groups as f64, &limit).warn_if(groups > bodies, || {
+                format!("{groups} groups of clusters share fewer than three particles: they can come apart")
+            }))
         })?;
     }
     for (name, vertices, tets) in [
@@ -84,34 +100,109 @@ fn beyond(model: &ModelPackage, sink: &mut Sink) -> Result<(), PackageError> {
             check_closed(&format!("{name}/tets.npy"), &faces, vertices.len())?;
             Ok(Found::figure(faces.len() as f64).named("faces"))
         })?;
-        let (least, most) = measure::dihedral_range(vertices, tets);
+        // The embedding mesh only carries pictures along: its angles are a figure without a mark.
+        let [least, most] = measure::dihedral_range(vertices, tets);
+        let marked = name == "fem";
         sink.check("smallest dihedral angle", name, || {
-            Ok(Found::figure(least).named("degrees"))
+            let limit = format!("°, at least {LEAST_DIHEDRAL_DEG}");
+            Ok(Found::worst(least.0, if marked { &limit } else { "°" })
+                .warn_if(marked && least.0 < LEAST_DIHEDRAL_DEG, || {
+                    flat_tet(model, vertices, tets, least)
+                }))
         })?;
         sink.check("largest dihedral angle", name, || {
-            Ok(Found::figure(most).named("degrees"))
+            let limit = format!("°, at most {MOST_DIHEDRAL_DEG}");
+            Ok(Found::worst(most.0, if marked { &limit } else { "°" })
+                .warn_if(marked && most.0 > MOST_DIHEDRAL_DEG, || {
+                    flat_tet(model, vertices, tets, most)
+                }))
         })?;
     }
     for s in &model.surfaces {
         let q = measure::surface_quality(&s.vertices, &s.triangles);
         sink.check("smallest triangle angle", &s.name, || {
-            Ok(Found::figure(q.min_angle_deg).named("degrees"))
+            let t = s.triangles[q.min_angle_at];
+            let limit = format!("°, at least {LEAST_ANGLE_DEG}");
+            Ok(
+                Found::worst(q.min_angle_deg, &limit).warn_if(q.min_angle_deg < LEAST_ANGLE_DEG, || {
+                    format!(
+                        "triangle {} is thin, {}",
+                        q.min_angle_at,
+                        near(model, &s.vertices, &t)
+                    )
+                }),
+            )
         })?;
         sink.check("mean triangle quality", &s.name, || {
-            Ok(Found::figure(q.mean_quality).named("of 1"))
+            let limit = format!("of 1, at least {LEAST_MEAN_QUALITY}");
+            Ok(
+                Found::worst(q.mean_quality, &limit).warn_if(q.mean_quality < LEAST_MEAN_QUALITY, || {
+                    "the triangles are far from equilateral".into()
+                }),
+            )
         })?;
     }
     if let Some(organ) = model.organ() {
         let surface = measure::surface_quality(&organ.vertices, &organ.triangles).volume_mm3;
+        let p = &model.particles;
+        sink.check("particle spacing fits their number", "particles", || {
+            let packing = p.positions.len() as f64 * p.radius_mm.powi(3) / surface;
+            let (low, high) = PACKING_POSSIBLE;
+            if !(low..=high).contains(&packing) {
+                return Err(PackageError::invalid(
+                    "particles/positions.npy",
+                    "all",
+                    format!(
+                        "{} particles at radius {} mm, N·r³/V = {packing:.3}",
+                        p.positions.len(),
+                        p.radius_mm
+                    ),
+                    format!("N·r³/V of {low} to {high}, about 1"),
+                ));
+            }
+            let (low, high) = PACKING_USUAL;
+            Ok(Found::worst(packing, &format!("N·r³/V, {low} to {high}"))
+                .warn_if(!(low..=high).contains(&packing), || {
+                    "far more or fewer particles than the radius gives".into()
+                }))
+        })?;
         let fem = measure::tet_volume(&model.fem.vertices, &model.fem.tets);
         sink.check("FEM volume beside the organ surface's", "fem", || {
-            Ok(Found::figure(100.0 * (fem / surface - 1.0)).named("%"))
+            let off = 100.0 * (fem / surface - 1.0);
+            Ok(
+                Found::worst(off, &format!("%, at most {VOLUME_PERCENT} either way"))
+                    .warn_if(off.abs() > VOLUME_PERCENT, || {
+                        format!("{fem:.0} mm³ beside {surface:.0} mm³")
+                    }),
+            )
         })?;
     }
     sink.check("every organ voxel lies in exactly one tet", "embedding", || {
         measure::embedding_cover(model)
     })?;
     Ok(())
+}
+
+/// Where some vertices lie, for people: the mean in patient mm.
+fn near(model: &ModelPackage, vertices: &[[f32; 3]], of: &[u32]) -> String {
+    let frame = model.frame();
+    let mut sum = [0.0; 3];
+    for &v in of {
+        let p = frame.patient(vertices[v as usize]);
+        for a in 0..3 {
+            sum[a] += p[a] / of.len() as f64;
+        }
+    }
+    format!("near ({:.1}, {:.1}, {:.1}) mm", sum[0], sum[1], sum[2])
+}
+
+fn flat_tet(model: &ModelPackage, vertices: &[[f32; 3]], tets: &[[u32; 4]], worst: (f64, usize)) -> String {
+    format!(
+        "tet {} has an angle of {:.1}°, {}",
+        worst.1,
+        worst.0,
+        near(model, vertices, &tets[worst.1])
+    )
 }
 
 fn skinned(model: &ModelPackage) -> Vec<(String, &[[f32; 3]], &Skin)> {

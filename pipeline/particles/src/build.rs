@@ -1,6 +1,7 @@
 use crate::{
     Clusters, ParticleError, ParticleParams, ParticleReport, ParticleSet, Repairs, clusters,
     cover::{Coverage, cover},
+    gaps::Sight,
     greedy,
     grid::PointGrid,
     lattice::Lattice,
@@ -72,7 +73,7 @@ pub fn build_particles(
         .chain(&created[..greedy_count])
         .copied()
         .collect();
-    let (mut lists, mended) = clusters::make(&seeds, params, mesh.components)
+    let (mut lists, mended) = clusters::make(&seeds, params, mesh.components, &lattice)
         .map_err(|flat| flat.into_error(r, mesh.thickness(), created.len()))?;
     let added = coverage.added;
     for i in lists.iter_mut().flatten() {
@@ -107,7 +108,10 @@ pub fn build_particles(
         orphans_attached: mended.orphans,
         bridges_added: mended.bridges,
         region_clusters_added: region_clusters,
+        clusters_parted: mended.parted,
     };
+    let spanning = Sight::new(&particles.positions, &lattice, r)
+        .spanning((0..clusters.len()).map(|c| clusters.members_of(c)));
     let report = report::summarise(
         &mesh,
         lattice.samples,
@@ -115,6 +119,7 @@ pub fn build_particles(
         &clusters,
         params,
         &coverage,
+        &spanning,
         repairs,
     );
     Ok((particles, clusters, report))

@@ -1,7 +1,9 @@
 use crate::{
     ParticleError, ParticleParams,
+    gaps::{self, Sight},
     greedy::greedy_groups,
     grid::{PointGrid, dist2, mean},
+    lattice::Lattice,
     mesh::DisjointSets,
     morton,
 };
@@ -76,14 +78,16 @@ pub(crate) struct Mended {
     pub merged: usize,
     pub orphans: usize,
     pub bridges: usize,
+    pub parted: usize,
 }
 
 /// Greedy clusters over particles in creation order, conditioned and connected. `expected_components`: pieces of
-/// the mesh, which need no bridge.
+/// the mesh, which need no bridge. `lattice` knows the body.
 pub(crate) fn make(
     points: &[[f64; 3]],
     params: &ParticleParams,
     expected_components: usize,
+    lattice: &Lattice,
 ) -> Result<(Vec<Vec<u32>>, Mended), TooFlat> {
     let spacing = params.cluster_spacing_mm();
     let grid = PointGrid::new(points, spacing);
@@ -98,6 +102,10 @@ pub(crate) fn make(
         adopt_orphans(points, &mut lists, &mut mended);
     }
     condition(points, &grid, spacing, &mut lists, &mut mended)?;
+    if params.split_at_gaps {
+        let sight = Sight::new(points, lattice, params.radius_mm);
+        mended.parted = gaps::part(points, &sight, spacing, &mut lists);
+    }
     bridge(
         points,
         &grid,

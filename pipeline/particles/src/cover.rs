@@ -97,20 +97,35 @@ pub(crate) fn cover(
         open.sort_unstable();
     }
     let added = particles.len() - before;
-    let grid = PointGrid::new(particles, r);
-    let distance2 = |p: [f64; 3]| grid.nearest(p, r, None).map_or(f64::INFINITY, |n| n.0);
-    let samples = all.par_iter().filter(|&&i| lattice.cells[i] & INSIDE != 0);
-    let worst = samples
-        .map(|&i| distance2(lattice.position(lattice.coords(i))))
-        .chain(mesh.vertices.par_iter().map(|&v| distance2(v)))
-        .reduce(|| 0.0, f64::max);
     for c in &mut lattice.cells {
         *c &= INSIDE;
     }
     Coverage {
         added,
-        max_distance: worst.sqrt(),
+        max_distance: farthest(mesh, lattice, particles, r).0,
     }
+}
+
+/// The largest distance from an inside sample or a mesh vertex to the nearest particle, and the place.
+pub(crate) fn farthest(
+    mesh: &ClosedMesh,
+    lattice: &Lattice,
+    particles: &[[f64; 3]],
+    r: f64,
+) -> (f64, [f64; 3]) {
+    let grid = PointGrid::new(particles, r);
+    let of = |p: [f64; 3]| (grid.nearest(p, r, None).map_or(f64::INFINITY, |n| n.0), p);
+    // By place on a tie, so that the order of threads does not matter.
+    let farther = |a: (f64, [f64; 3]), b: (f64, [f64; 3])| if b > a { b } else { a };
+    let none = || (0.0, [f64::NEG_INFINITY; 3]);
+    let samples = (0..lattice.cells.len())
+        .into_par_iter()
+        .filter(|&i| lattice.cells[i] & INSIDE != 0)
+        .map(|i| of(lattice.position(lattice.coords(i))))
+        .reduce(none, farther);
+    let vertices = mesh.vertices.par_iter().map(|&v| of(v)).reduce(none, farther);
+    let worst = farther(samples, vertices);
+    (worst.0.sqrt(), worst.1)
 }
 
 /// Marks the cells whose centre is within `radius` of a particle.

@@ -106,4 +106,12 @@ pub enum ParticleError {
         /// A radius that should do.
         try_radius_mm: f64,
     },
+    /// Finished particles that do not belong to the surface, or clusters that do not belong to the particles.
+    #[error(
+        "particles: {what}; expected particles within the surface's box and clusters that name only them"
+    )]
+    Unrelated {
+        /// What was found.
+        what: String,
+    },
 }

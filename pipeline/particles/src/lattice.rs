@@ -110,6 +110,19 @@ impl Lattice {
         (c[0] * self.n[1] + c[1]) * self.n[2] + c[2]
     }
 
+    /// Whether the sample nearest to `p` is inside.
+    pub fn holds(&self, p: [f64; 3]) -> bool {
+        let mut c = [0; 3];
+        for a in 0..3 {
+            let at = ((p[a] - self.origin[a]) / self.s).round();
+            if !(at >= 0.0 && at < self.n[a] as f64) {
+                return false;
+            }
+            c[a] = at as usize;
+        }
+        self.cells[self.index(c)] & INSIDE != 0
+    }
+
     /// Positions of all inside cells in ascending order.
     pub fn positions(&self) -> Vec<[f64; 3]> {
         (0..self.cells.len())

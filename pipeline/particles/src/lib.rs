@@ -5,10 +5,12 @@
 //! connectivity check → Morton order.
 //! Refuses: open meshes; bodies too small or too thin for the chosen radius.
 
+mod audit;
 mod build;
 mod clusters;
 mod cover;
 mod error;
+mod gaps;
 mod greedy;
 mod grid;
 mod lattice;
@@ -19,6 +21,7 @@ mod report;
 #[cfg(test)]
 mod tests;
 
+pub use audit::{ParticleAudit, audit_particles};
 pub use build::build_particles;
 pub use clusters::Clusters;
 pub use error::ParticleError;

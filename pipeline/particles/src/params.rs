@@ -35,6 +35,9 @@ pub struct ParticleParams {
     /// Add particles until every interior point lies within one radius of a particle. On: contact and skinning rely
     /// on it; off gives the published method bare.
     pub cover: bool,
+    /// Part clusters whose members lie on both sides of a gap of the body (a hilum, a cleft), so that each moves with
+    /// its own side. Off: the published method gathers members by distance alone.
+    pub split_at_gaps: bool,
     /// Pairs of particles closer than this become links, mm; 0: none, as in the paper.
     pub link_radius_mm: f64,
 }
@@ -50,6 +53,7 @@ impl Default for ParticleParams {
             surface_seed: 0,
             placement: Placement::Mean,
             cover: true,
+            split_at_gaps: false,
             link_radius_mm: 0.0,
         }
     }

@@ -1,6 +1,6 @@
 use crate::{
-    Clusters, ParticleError, ParticleParams, ParticleSet, build_particles, cover::Coverage, grid::PointGrid,
-    mesh::ClosedMesh,
+    Clusters, ParticleError, ParticleParams, ParticleSet, build_particles, cover::Coverage, gaps::Spanning,
+    grid::PointGrid, mesh::ClosedMesh,
 };
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -21,6 +21,8 @@ pub struct Repairs {
     pub bridges_added: usize,
     /// Clusters made of one region's particles alone, because the region led in no other cluster.
     pub region_clusters_added: usize,
+    /// Clusters parted because their members lay on both sides of a gap (only where `split_at_gaps` is on).
+    pub clusters_parted: usize,
 }
 
 /// Particles and clusters of one region.
@@ -79,6 +81,10 @@ pub struct ParticleReport {
     /// Pieces of the graph of clusters that share at least three particles; more than the mesh has means that the
     /// body would fall apart.
     pub cluster_components: usize,
+    /// Clusters whose members lie on both sides of a gap of the body: they move both sides as one.
+    pub clusters_across_gaps: usize,
+    /// Memberships outside of the largest piece of each of those clusters.
+    pub memberships_across_gaps: usize,
     /// Links.
     pub links: usize,
     /// What had to be done beyond the published method.
@@ -92,6 +98,7 @@ pub(crate) fn summarise(
     clusters: &Clusters,
     params: &ParticleParams,
     coverage: &Coverage,
+    spanning: &Spanning,
     repairs: Repairs,
 ) -> ParticleReport {
     let (n, c) = (particles.positions.len(), clusters.len());
@@ -139,6 +146,8 @@ pub(crate) fn summarise(
             .fold(f64::INFINITY, f64::min),
         mesh_components: mesh.components,
         cluster_components: clusters.components(),
+        clusters_across_gaps: spanning.clusters.len(),
+        memberships_across_gaps: spanning.memberships,
         links: particles.links.len(),
         repairs,
     }

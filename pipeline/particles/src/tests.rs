@@ -7,6 +7,8 @@ use crate::{
     report::nearest,
 };
 
+mod gaps;
+
 type Mesh = (Vec<[f64; 3]>, Vec<[u32; 3]>);
 
 fn params(radius_mm: f64) -> ParticleParams {

@@ -5,11 +5,12 @@ mod points;
 mod surface;
 mod tets;
 
-pub(crate) use surface::check_closed;
+pub(crate) use surface::{check_closed, pieces};
 
 use crate::check::{Found, Sink};
 use crate::encode::folders;
 use crate::model::{Affine34, ModelPackage, Surface, SurfaceKind};
+use crate::vector::{det, dot};
 use crate::{PackageError, manifest, topology};
 use points::{finite, regions, same_length, skin};
 
@@ -330,15 +331,9 @@ fn grid(entry: &str, dims: [usize; 3], len: usize) -> Result<(), PackageError> {
 /// Finite, and not singular: the columns span a volume.
 fn affine(entry: &str, m: &Affine34) -> Result<(), PackageError> {
     let c = |i: usize| [m[0][i], m[1][i], m[2][i]];
-    let length = |v: [f64; 3]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
-    let (a, b, d) = (c(0), c(1), c(2));
-    let cross = [
-        b[1] * d[2] - b[2] * d[1],
-        b[2] * d[0] - b[0] * d[2],
-        b[0] * d[1] - b[1] * d[0],
-    ];
-    let det = a[0] * cross[0] + a[1] * cross[1] + a[2] * cross[2];
-    let size = length(a) * length(b) * length(d);
+    let length = |v: [f64; 3]| dot(v, v).sqrt();
+    let det = det(c(0), c(1), c(2));
+    let size = length(c(0)) * length(c(1)) * length(c(2));
     let bounded = m.iter().flatten().all(|v| v.abs() <= 1e9);
     if bounded && det.abs() > 1e-6 * size && size > 1e-12 {
         return Ok(());

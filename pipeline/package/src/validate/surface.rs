@@ -1,6 +1,7 @@
 use super::points::{finite, same_length, unit};
 use crate::check::{Found, Sink};
 use crate::model::Surface;
+use crate::vector::{self, cross, dot, sub};
 use crate::{PackageError, topology};
 
 /// Smaller triangles have no usable normal in f32, mm².
@@ -55,23 +56,7 @@ pub(super) fn check(s: &Surface, folder: &str, sink: &mut Sink) -> Result<bool, 
 }
 
 fn point(s: &Surface, v: u32) -> [f64; 3] {
-    s.vertices[v as usize].map(f64::from)
-}
-
-fn sub(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    std::array::from_fn(|i| a[i] - b[i])
-}
-
-fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
-}
-
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    vector::point(s.vertices[v as usize])
 }
 
 fn areas(entry: &str, s: &Surface) -> Result<Found, PackageError> {
@@ -218,7 +203,7 @@ fn outward(entry: &str, s: &Surface) -> Result<Found, PackageError> {
 }
 
 /// Connected piece of each triangle, numbered by first appearance.
-fn pieces(triangles: &[[u32; 3]], vertices: usize) -> Vec<u32> {
+pub(crate) fn pieces(triangles: &[[u32; 3]], vertices: usize) -> Vec<u32> {
     let mut parent: Vec<u32> = (0..vertices as u32).collect();
     fn root(parent: &mut [u32], mut v: u32) -> u32 {
         while parent[v as usize] != v {

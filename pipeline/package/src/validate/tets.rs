@@ -1,5 +1,6 @@
 use super::points::finite;
 use crate::check::{Found, Sink};
+use crate::vector::volume6;
 use crate::{PackageError, topology};
 
 /// Six times the volume over the cube of the longest edge: 1/√2 = 0.71 for a regular tet, about 10⁻² at the worst
@@ -45,16 +46,6 @@ pub(super) fn check(
             faces(&entry, tets)
         })? && volumes,
     )
-}
-
-/// Six times the signed volume of tet (a, b, c, d).
-fn volume6(vertices: &[[f32; 3]], t: &[u32; 4]) -> f64 {
-    let [a, b, c, d] = t.map(|v| vertices[v as usize].map(f64::from));
-    let e = |p: [f64; 3]| [p[0] - a[0], p[1] - a[1], p[2] - a[2]];
-    let (u, v, w) = (e(b), e(c), e(d));
-    u[0] * (v[1] * w[2] - v[2] * w[1])
-        + u[1] * (v[2] * w[0] - v[0] * w[2])
-        + u[2] * (v[0] * w[1] - v[1] * w[0])
 }
 
 fn longest(vertices: &[[f32; 3]], t: &[u32; 4]) -> f64 {
