@@ -5,18 +5,24 @@
 mod common;
 
 use common::small_model;
+use palpate_package::{Format, export};
 use std::path::Path;
 use std::process::Command;
 
 fn python() -> Option<String> {
-    if let Ok(python) = std::env::var("PALPATE_PYTHON") {
+    python_with("numpy")
+}
+
+/// An interpreter that has the module.
+fn python_with(module: &str) -> Option<String> {
+    let python = std::env::var("PALPATE_PYTHON").unwrap_or_else(|_| "python3".into());
+    let found = Command::new(&python)
+        .args(["-c", &format!("import {module}")])
+        .output();
+    if found.is_ok_and(|o| o.status.success()) {
         return Some(python);
     }
-    let found = Command::new("python3").args(["-c", "import numpy"]).output();
-    if found.is_ok_and(|o| o.status.success()) {
-        return Some("python3".into());
-    }
-    eprintln!("SKIPPED: no python3 with numpy; set PALPATE_PYTHON to an interpreter that has it");
+    eprintln!("SKIPPED: {python} has no {module}; set PALPATE_PYTHON to an interpreter that has it");
     None
 }
 
@@ -95,4 +101,40 @@ print(digest, hu[k, j, i], *ras, *near, (a["fem/regions"] == tumour).sum())
         near[2]
     );
     assert_eq!(text.trim(), expected);
+}
+
+/// VTK's own reader, which ParaView and 3D Slicer use: cells, regions, patient millimetres, and the text field that
+/// keeps Slicer from turning the axes.
+#[test]
+fn vtk_reads_the_exported_grids() {
+    let Some(python) = python_with("vtk") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let files = export(&small_model(), Format::Vtu, folder.path()).unwrap();
+    let program = r#"
+import sys, vtk
+for f in sys.argv[1:]:
+    r = vtk.vtkXMLUnstructuredGridReader()
+    r.SetFileName(f)
+    r.Update()
+    g = r.GetOutput()
+    a = g.GetCellData().GetArray("region")
+    regions = [a.GetTuple1(i) for i in range(a.GetNumberOfTuples())] if a else []
+    space = g.GetFieldData().GetAbstractArray("SPACE")
+    print(g.GetNumberOfCells(), g.GetCellType(0), space.GetClassName(), space.GetValue(0), regions.count(1), *g.GetBounds())
+"#;
+    let mut args = vec!["-c".to_string(), program.into()];
+    args.extend(files.iter().map(|f| f.to_string_lossy().into_owned()));
+    let text = run(&python, &args.iter().map(String::as_str).collect::<Vec<_>>());
+    let lines: Vec<&str> = text.lines().collect();
+    assert_eq!(lines.len(), files.len(), "{text}");
+    assert!(lines.iter().all(|l| l.contains(" vtkStringArray RAS ")), "{text}");
+    let fem = files.iter().position(|f| f.ends_with("fem.vtu")).unwrap();
+    let [x, y, z] = common::CORNER_MM;
+    let expected = format!(
+        "360 10 vtkStringArray RAS 24 {x:?} {:?} {y:?} {:?} {z:?} {:?}",
+        x + 10.0,
+        y + 8.0,
+        z + 6.0
+    );
+    assert_eq!(lines[fem], expected);
 }
