@@ -3,16 +3,13 @@
 use crate::distance::redistance;
 use crate::enclosed::{Cells, enclosed_volume, solve_shift};
 use crate::field_repair::{Wanted, follow_flips, repair_signs, repair_voxels};
-use crate::slices::{SliceStack, interpolate, smooth_grid};
+use crate::slices::{SliceStack, fill_unseen_holes, interpolate, take_creases};
 use crate::smooth::{Amplitudes, Blur, Grid};
 use crate::thin;
 use crate::topology::shape;
 use crate::volume_report::BodyReport;
 use crate::{Affine, Body, CapPlane, ScalarField, VolumeError, VolumeParams, VoxelMask};
 use rayon::prelude::*;
-
-/// Variance (samples²) of the smoothing after the interpolation between slices: it takes the creases at the slices.
-pub(crate) const SLICE_SMOOTHING: f64 = 1.0;
 
 /// Voxel centres on the wrong side of the smooth surface by more than this (mean voxel sizes) mark thin parts.
 const THIN_TOLERANCE: f64 = 0.5;
@@ -323,7 +320,7 @@ pub(crate) fn build_body(
         let mut cut = values.clone();
         cut_by_caps(&mut cut, &grid, &caps);
         interpolated = Some(as_field(cut));
-        smooth_grid(&mut values, grid.dims, SLICE_SMOOTHING);
+        take_creases(&mut values, &grid);
         values
     } else {
         antialiased(&mask, &grid, to_index, params, report)
@@ -335,9 +332,23 @@ pub(crate) fn build_body(
     if !repaired.flips.is_empty() {
         redistance(&mut values, &grid);
         follow_flips(&mut mask, &grid, &to_index, &repaired.flips);
+        if let Some(raw) = &mut interpolated {
+            // What went from the body goes from what it is compared with, by the same rules.
+            let parts = Wanted {
+                handle_mm: 0.0,
+                ..wanted
+            };
+            repair_signs(&mut raw.values, &grid, &parts, &|_| true);
+        }
     }
     let field = as_field(values);
+    let filled = if interpolated.is_some() {
+        fill_unseen_holes(&mut mask, slice_axis, &field)
+    } else {
+        0
+    };
     (report.voxel_topology, _) = repair_voxels(&mut mask, Some(start), &field, &wanted, &|_| true);
+    report.voxel_topology.added_mm3 += filled as f64 * mask.affine.det().abs();
     let mut values = field.values;
     if repaired.dropped.0 > 0 {
         report.strays.count += repaired.dropped.0;

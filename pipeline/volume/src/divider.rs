@@ -1,9 +1,9 @@
 //! Boundaries of structures inside the organ.
 
-use crate::body::{SLICE_SMOOTHING, smoothing_sigma};
+use crate::body::smoothing_sigma;
 use crate::distance::redistance;
 use crate::enclosed::{Cells, solve_shift};
-use crate::slices::{SliceStack, interpolate, smooth_grid};
+use crate::slices::{SliceStack, interpolate, take_creases};
 use crate::smooth::{Amplitudes, Blur, Grid};
 use crate::{Affine, ScalarField, VolumeParams};
 use rayon::prelude::*;
@@ -129,7 +129,7 @@ pub(crate) fn indicators(
                 };
                 let mut values = interpolate(&stack, grid, &to_index, params.smoothing_voxels);
                 redistance(&mut values, grid);
-                smooth_grid(&mut values, grid.dims, SLICE_SMOOTHING);
+                take_creases(&mut values, grid);
                 values
             })
             .collect();

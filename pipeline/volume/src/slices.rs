@@ -5,13 +5,21 @@
 //! that cannot overshoot). Where a part of a slice has nothing above or below it, the body ends in a dome of half a
 //! slice's volume.
 
-use crate::Affine;
 use crate::components::Runs;
 use crate::smooth::{EdgeOffset, Grid, Uniform, kernel};
+use crate::{Affine, Implicit, ScalarField, VoxelMask};
 use rayon::prelude::*;
 
 /// Value (mm) given to samples far from any contour; only the sign counts there.
 const FAR_MM: f32 = 4.0;
+/// Least distance (pixels) of a pixel's centre to the anti-aliased contour of its slice.
+const LEAST_DEPTH: f64 = 0.2;
+/// Variance (samples²) of the smoothing after the interpolation between slices.
+const SLICE_SMOOTHING: f64 = 1.0;
+/// Most (samples) that this smoothing moves a value: curved boundaries keep their place.
+const MOST_MOVED: f32 = 0.3;
+/// Smoothing that moves a value across the surface by more than this (samples) meets a part thinner than its kernel.
+const THIN_MOVE: f32 = 0.1;
 /// Block edge (samples) within which uniform regions are skipped.
 const BLOCK: usize = 8;
 
@@ -176,7 +184,12 @@ impl Plane {
                 .max(0.05)
                 .sqrt(),
         );
-        value.iter_mut().for_each(|v| *v = edge.of(*v));
+        // Parts and holes about a pixel wide would drown in the blur.
+        let least = (LEAST_DEPTH * mean) as f32;
+        value.iter_mut().zip(picture).for_each(|(v, p)| {
+            let d = edge.of(*v);
+            *v = if *p != 0 { d.min(-least) } else { d.max(least) };
+        });
         // Nearest contour point of each pixel (pixel coordinates), propagated by raster passes.
         let mut nearest = vec![[f32::NAN; 2]; w * h];
         for y in 0..h {
@@ -264,6 +277,41 @@ impl Plane {
                 let from = (y as i64 + t as i64 - r).clamp(0, h as i64 - 1) as usize;
                 for x in 0..w {
                     out[x + w * y] += c * rows[x + w * from];
+                }
+            }
+        }
+        out
+    }
+
+    /// Pixels of the picture's holes of which no pixel is `seen`.
+    fn unseen_holes(&self, picture: &[u8], seen: impl Fn(usize, usize) -> bool) -> Vec<usize> {
+        let [w, h] = self.size;
+        if picture.iter().all(|&v| v == 0) {
+            return Vec::new();
+        }
+        let mut class = [0; 256];
+        class[0] = 1;
+        let runs = Runs::scan(picture, [w, h, 1], &class);
+        let parts = runs.components_by_edge();
+        let mut unseen: Vec<bool> = parts
+            .list
+            .iter()
+            .map(|c| (0..2).all(|a| c.lo[a] > 0 && c.hi[a] < [w, h][a]))
+            .collect();
+        let mut out = Vec::new();
+        for pass in 0..2 {
+            for y in 0..h {
+                for r in runs.row(y, 0) {
+                    let part = parts.of_run[r] as usize;
+                    let mut run = runs.runs[r].start as usize..runs.runs[r].end as usize;
+                    if !unseen[part] {
+                        continue;
+                    }
+                    if pass == 0 {
+                        unseen[part] = !run.any(|x| seen(x, y));
+                    } else {
+                        out.extend(run.map(|x| x + w * y));
+                    }
                 }
             }
         }
@@ -418,8 +466,66 @@ fn column(slices: &[Slice], n: usize, k: usize, t: f32) -> f32 {
     a * (2.0 * t3 - 3.0 * t2 + 1.0) + m0 * (t3 - 2.0 * t2 + t) + b * (3.0 * t2 - 2.0 * t3) + m1 * (t3 - t2)
 }
 
+/// Takes the creases at the slices out of an interpolated distance: smooths it, moves no value by more than
+/// [`MOST_MOVED`], and lets no thin part or cleft go.
+pub(crate) fn take_creases(values: &mut [f32], grid: &Grid) {
+    let mut smooth = values.to_vec();
+    smooth_grid(&mut smooth, grid.dims, SLICE_SMOOTHING);
+    let h = grid.spacing_mm as f32;
+    let most = MOST_MOVED * h;
+    values
+        .par_chunks_mut(1 << 16)
+        .zip(smooth.par_chunks(1 << 16))
+        .for_each(|(part, smooth)| {
+            for (v, s) in part.iter_mut().zip(smooth) {
+                let move_mm = s - *v;
+                let x = move_mm / most;
+                let new = *v + move_mm / (1.0 + x * x).sqrt();
+                // A large move across the surface: the ridge of a thin part.
+                let thin = (new < 0.0) != (*v < 0.0) && move_mm.abs() > THIN_MOVE * h;
+                *v = if thin { 0.5 * *v } else { new };
+            }
+        });
+}
+
+/// Fills holes of slices (reported as voxels) that show nowhere in the field: tips of clefts about a voxel wide, and
+/// pockets that hang on to the outside by no more than edges of voxels, so that voxels and field agree.
+pub(crate) fn fill_unseen_holes(mask: &mut VoxelMask, axis: usize, field: &ScalarField) -> u64 {
+    let holes: Vec<Vec<usize>> = {
+        let stack = SliceStack {
+            dims: mask.dims,
+            data: &mask.data,
+            affine: &mask.affine,
+            axis,
+        };
+        let plane = Plane::of(&stack);
+        (0..mask.dims[axis])
+            .into_par_iter()
+            .map(|s| {
+                let mut out = plane.unseen_holes(&plane.slice(&stack, s), |x, y| {
+                    let mut c = [s as f64; 3];
+                    (c[plane.axes[0]], c[plane.axes[1]]) = (x as f64, y as f64);
+                    field.value(mask.affine.apply(c)) >= 0.0
+                });
+                let stride = [1, mask.dims[0], mask.dims[0] * mask.dims[1]];
+                for n in &mut out {
+                    let (x, y) = (*n % plane.size[0], *n / plane.size[0]);
+                    *n = s * stride[axis] + x * stride[plane.axes[0]] + y * stride[plane.axes[1]];
+                }
+                out
+            })
+            .collect()
+    };
+    let mut filled = 0;
+    for v in holes.into_iter().flatten() {
+        mask.data[v] = 1;
+        filled += 1;
+    }
+    filled
+}
+
 /// Smooths a function on the grid with a discrete kernel of the given variance (samples²) along each axis.
-pub(crate) fn smooth_grid(values: &mut Vec<f32>, dims: [usize; 3], variance: f64) {
+fn smooth_grid(values: &mut Vec<f32>, dims: [usize; 3], variance: f64) {
     let k = kernel(variance);
     let r = k.len() / 2;
     let [nx, ny, nz] = dims;
