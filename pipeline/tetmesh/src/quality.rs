@@ -1,5 +1,5 @@
 use crate::TetMesh;
-use crate::geometry::{cross, dot, sub};
+use crate::geometry::{cross, distance, dot, sub};
 use serde::{Deserialize, Serialize};
 
 /// The tet's edges in the order in which [`dihedral_angles`] gives them: (corner, corner).
@@ -101,6 +101,12 @@ pub struct MeshQuality {
     pub mean_volume_length: f64,
     /// Smallest radius ratio 3·r_in / r_circum (regular tet: 1).
     pub min_radius_ratio: f64,
+    /// Shortest edge, mm; 0 for an empty mesh.
+    pub shortest_edge_mm: f64,
+    /// Longest edge, mm.
+    pub longest_edge_mm: f64,
+    /// Largest ratio between two edges of one tet.
+    pub largest_edge_ratio: f64,
     /// (angle, number of tets with a dihedral angle below it), for each of [`LOW_MARKS_DEG`].
     pub tets_below_deg: Vec<(f64, usize)>,
     /// (angle, number of tets with a dihedral angle above it), for each of [`HIGH_MARKS_DEG`].
@@ -122,6 +128,9 @@ impl MeshQuality {
             min_volume_length: f64::INFINITY,
             mean_volume_length: 0.0,
             min_radius_ratio: f64::INFINITY,
+            shortest_edge_mm: f64::INFINITY,
+            longest_edge_mm: 0.0,
+            largest_edge_ratio: 0.0,
             tets_below_deg: LOW_MARKS_DEG.map(|m| (m, 0)).to_vec(),
             tets_above_deg: HIGH_MARKS_DEG.map(|m| (m, 0)).to_vec(),
         };
@@ -156,11 +165,20 @@ impl MeshQuality {
             out.min_volume_length = out.min_volume_length.min(quality);
             out.mean_volume_length += quality;
             out.min_radius_ratio = out.min_radius_ratio.min(radius_ratio(p));
+            let (mut short, mut long) = (f64::INFINITY, 0.0f64);
+            for [i, j] in TET_EDGES {
+                let d = distance(p[i], p[j]);
+                (short, long) = (short.min(d), long.max(d));
+            }
+            out.shortest_edge_mm = out.shortest_edge_mm.min(short);
+            out.longest_edge_mm = out.longest_edge_mm.max(long);
+            out.largest_edge_ratio = out.largest_edge_ratio.max(long / short.max(f64::MIN_POSITIVE));
             measured += 1;
         }
         if measured == 0 {
             (out.min_dihedral_deg, out.max_dihedral_deg) = (0.0, 0.0);
             (out.min_volume_length, out.min_radius_ratio) = (0.0, 0.0);
+            out.shortest_edge_mm = 0.0;
         } else {
             out.mean_min_dihedral_deg /= measured as f64;
             out.mean_volume_length /= measured as f64;

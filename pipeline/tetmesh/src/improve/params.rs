@@ -19,6 +19,9 @@ pub struct ImproveParams {
     /// Composite changes (a collapse, split or flip with the vertex moves that follow) that may be tried, for each
     /// tet of the input. 0.2 bounds the time on hopeless meshes; good ones need under 0.02.
     pub attempts_per_tet: f64,
+    /// Edges shorter than this share of the mean edge around them are merged where the tets stay good. 0.15: shorter
+    /// ones cost an explicit time step and make needles.
+    pub shortest_edge_share: f64,
     /// Whether connection may change (flips, collapses, splits); otherwise vertices move, nothing else.
     pub reconnect: bool,
     /// Largest relative change of the number of tets.
@@ -43,6 +46,7 @@ impl Default for ImproveParams {
             max_passes: 12,
             surface_tolerance_edges: 0.08,
             attempts_per_tet: 0.2,
+            shortest_edge_share: 0.15,
             reconnect: true,
             max_size_change: 0.15,
             hold_volumes: true,

@@ -11,6 +11,9 @@ use crate::TET_EDGES;
 /// Rounds of volume holding, each followed by passes of improvement.
 const HOLDS: usize = 6;
 
+/// Rounds of merging short edges.
+const SHORT_ROUNDS: usize = 3;
+
 /// Gain in score by which a tet counts as mended.
 const PROGRESS: f64 = 0.03;
 
@@ -27,6 +30,9 @@ impl Improver<'_> {
     pub fn run(&mut self, params: &ImproveParams, goals: &Goals, report: &mut ImproveReport) {
         self.settle();
         self.improve_passes(params.max_passes, report);
+        if self.reconnect && self.merge_short_edges(params.shortest_edge_share) {
+            self.improve_passes(4, report);
+        }
         if params.hold_volumes {
             for _ in 0..HOLDS {
                 if !self.shift_levels(goals, params, report.mean_edge_mm) {
@@ -202,9 +208,81 @@ impl Improver<'_> {
         false
     }
 
-    /// Makes a change, then mends the worst of the changed tets by vertex moves and flips, and keeps all of it only
-    /// if the worst of the changed tets has become better.
+    /// Makes a change and what [`Improver::attempt_if`] adds, and keeps all of it only if the worst of the changed tets
+    /// has become better.
     fn attempt(&mut self, change: impl FnOnce(&mut Self) -> bool) -> bool {
+        self.attempt_if(change, |before, after| after > before + 5.0 * GAIN)
+    }
+
+    /// Collapses edges shorter than `share` of the mean edge around them where that leaves the tets good, or no worse;
+    /// returns whether there were any.
+    fn merge_short_edges(&mut self, share: f64) -> bool {
+        let mut merged = false;
+        for _ in 0..SHORT_ROUNDS {
+            let mut short: Vec<(f64, u32, u32)> = Vec::new();
+            for t in (0..self.complex.tets.len() as u32).filter(|&t| self.complex.is_alive(t)) {
+                let tet = self.complex.tets[t as usize];
+                for [i, j] in TET_EDGES {
+                    let (v, w) = (tet[i].min(tet[j]), tet[i].max(tet[j]));
+                    let d = self.edge_length(v, w);
+                    if d < share * self.mean_around(v).max(self.mean_around(w)) {
+                        short.push((d, v, w));
+                    }
+                }
+            }
+            short.sort_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
+            short.dedup_by_key(|e| (e.1, e.2));
+            let mut any = false;
+            for (_, a, b) in short {
+                if !self.complex.has_edge(a, b) || !self.fits(-6) {
+                    continue;
+                }
+                let good = self.asked;
+                for (v, w) in [(a, b), (b, a)] {
+                    let floor = 0.02f64.min(self.complex.star_score(v).min(self.complex.star_score(w)));
+                    if self.attempt_if(
+                        |s| s.collapse(v, w, floor),
+                        |before, after| after >= good.min(before),
+                    ) {
+                        any = true;
+                        break;
+                    }
+                }
+            }
+            merged |= any;
+            if !any {
+                break;
+            }
+        }
+        merged
+    }
+
+    fn edge_length(&self, v: u32, w: u32) -> f64 {
+        let d = crate::geometry::sub(self.complex.pos[v as usize], self.complex.pos[w as usize]);
+        crate::geometry::dot(d, d).sqrt()
+    }
+
+    /// Mean length of the edges from a vertex (each counted once per tet).
+    fn mean_around(&self, v: u32) -> f64 {
+        let (mut sum, mut n) = (0.0, 0usize);
+        for &t in &self.complex.star[v as usize] {
+            for w in self.complex.tets[t as usize] {
+                if w != v {
+                    sum += self.edge_length(v, w);
+                    n += 1;
+                }
+            }
+        }
+        sum / n.max(1) as f64
+    }
+
+    /// Makes a change, then mends the worst of the changed tets by vertex moves and flips, and keeps all of it only
+    /// if `accept` (worst score before, after) likes it.
+    fn attempt_if(
+        &mut self,
+        change: impl FnOnce(&mut Self) -> bool,
+        accept: impl Fn(f64, f64) -> bool,
+    ) -> bool {
         if self.attempts_left == 0 {
             return false;
         }
@@ -215,7 +293,7 @@ impl Improver<'_> {
             self.attempts_left -= 1;
             for _ in 0..6 {
                 let (before, after, worst) = self.complex.judge();
-                if after > before + 5.0 * GAIN {
+                if accept(before, after) {
                     kept = true;
                     break;
                 }

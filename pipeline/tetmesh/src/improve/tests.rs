@@ -1,6 +1,7 @@
 //! Crude meshes with terrible tets, improved and judged by brute force.
 
 use super::*;
+use crate::geometry::distance;
 use crate::quality::{dihedral_angles, tet_volume};
 use palpate_fixtures::shapes;
 use palpate_volume::Implicit;
@@ -432,7 +433,8 @@ proptest::proptest! {
         };
         let centre = std::array::from_fn(|_| 3.0 * random());
         let outer = shapes::ball(centre, 16.0);
-        let inner = shapes::ball([centre[0] + 8.0 + 5.0 * random(), centre[1], centre[2]], r);
+        let inner_centre = [centre[0] + 8.0 + 5.0 * random(), centre[1], centre[2]];
+        let inner = shapes::ball(inner_centre, r);
         let dividers: [&dyn Implicit; 1] = [&inner];
         let surfaces = Surfaces { outer: &outer, dividers: &dividers };
         let mut before = crude(&outer, &dividers, h, snap);
@@ -456,6 +458,12 @@ proptest::proptest! {
         check(&before, &after, &surfaces, &report, h);
         // Crude cuts of shaken lattices start near 0°; how far they come is not promised, that they rise is.
         proptest::prop_assert!(report.after.min_dihedral_deg > report.before.min_dihedral_deg);
+        // Where the balls nearly touch, what lies between them is a wedge without thickness or angle.
+        let d = distance(inner_centre, centre);
+        let crossing = ((256.0 + r * r - d * d) / (32.0 * r)).clamp(-1.0, 1.0).acos().to_degrees();
+        if (16.0 - d - r).abs() > 0.3 || crossing > 10.0 {
+            proptest::prop_assert!(report.after.min_dihedral_deg > 5.0);
+        }
         let second = improve(&mut again, &surfaces, &params);
         proptest::prop_assert_eq!(&after, &again);
         proptest::prop_assert_eq!(&report, &second);
