@@ -120,11 +120,16 @@ impl Sight {
     }
 }
 
-/// Parts every cluster that lies on both sides of a gap, each piece grown on its own side where it is too flat. A
-/// cluster with a piece that cannot be made round enough stays as it is. Answers how many were parted.
+/// Parts every cluster that lies on both sides of a gap, each piece grown on its own side where it is too flat. A piece
+/// that cannot be made round enough is left out where other clusters hold its particles; else its cluster stays as it
+/// is. Answers how many were parted.
 pub(crate) fn part(points: &[[f64; 3]], sight: &Sight, spacing: f64, lists: &mut Vec<Vec<u32>>) -> usize {
     let mut parted = 0;
     let mut added = Vec::new();
+    let mut held = vec![0u32; points.len()];
+    for &i in lists.iter().flatten() {
+        held[i as usize] += 1;
+    }
     for list in lists.iter_mut() {
         let mut pieces = sight.pieces(list);
         if pieces.len() < 2 {
@@ -146,27 +151,36 @@ pub(crate) fn part(points: &[[f64; 3]], sight: &Sight, spacing: f64, lists: &mut
             let nearest = (0..sides.len()).min_by(|&a, &b| d(&sides[a]).total_cmp(&d(&sides[b])));
             pieces[nearest.unwrap_or(0)].push(i);
         }
-        let round: Option<Vec<Vec<u32>>> = pieces
-            .into_iter()
-            .map(|p| rounded(points, sight, spacing, p))
-            .collect();
-        if let Some(mut round) = round {
-            parted += 1;
-            added.extend(round.drain(1..));
-            *list = round.swap_remove(0);
+        let mut round = Vec::new();
+        let mut dropped = Vec::new();
+        for p in pieces {
+            match rounded(points, sight, spacing, &p) {
+                Some(grown) => round.push(grown),
+                None => dropped.extend(p),
+            }
         }
+        if round.is_empty() || dropped.iter().any(|&i| held[i as usize] < 2) {
+            continue;
+        }
+        for i in dropped {
+            held[i as usize] -= 1;
+        }
+        parted += 1;
+        *list = round.swap_remove(0);
+        added.append(&mut round);
     }
     lists.extend(added);
     parted
 }
 
 /// The piece, grown until its moment ratio is good enough.
-fn rounded(points: &[[f64; 3]], sight: &Sight, spacing: f64, mut piece: Vec<u32>) -> Option<Vec<u32>> {
+fn rounded(points: &[[f64; 3]], sight: &Sight, spacing: f64, piece: &[u32]) -> Option<Vec<u32>> {
     let centre = |p: &[u32]| mean(p.iter().map(|&i| points[i as usize]));
     let ratio = |p: &[u32]| {
         let c = centre(p);
         moment_ratio(p.iter().map(|&i| sub(points[i as usize], c)))
     };
+    let mut piece = piece.to_vec();
     piece.sort_unstable();
     if ratio(&piece) >= LEAST_MOMENT_RATIO {
         return Some(piece);
