@@ -60,16 +60,29 @@ fn press(path: &str, settings: &Settings, threads: usize) -> Result<(), Box<dyn 
     let (lo, hi) = surface.bounds();
     let middle = (lo + hi) * 0.5;
     let touch = middle.with_y(hi.y + HALF.y);
-    let counts = (body.particle_count(), body.cluster_count(), body.membership_count());
+    let counts = (
+        body.particle_count(),
+        body.cluster_count(),
+        body.membership_count(),
+    );
     let scene = Scene::new(
         vec![body],
         vec![
             Collider::fixed("cradle", Shape::Mesh(bed), Pose::IDENTITY),
-            Collider::moving("probe", Shape::Cuboid { half_extents_mm: HALF }, Pose::at(touch)),
+            Collider::moving(
+                "probe",
+                Shape::Cuboid {
+                    half_extents_mm: HALF,
+                },
+                Pose::at(touch),
+            ),
         ],
     );
     let mut solver = Solver::with_threads(scene, settings.clone(), threads)?;
-    let skins = [SkinnedPoints::of_surface(&package, &organ.name)?, SkinnedPoints::of_embedding(&package)?];
+    let skins = [
+        SkinnedPoints::of_surface(&package, &organ.name)?,
+        SkinnedPoints::of_embedding(&package)?,
+    ];
     let mut out: Vec<Vec<[f32; 3]>> = skins.iter().map(|s| vec![[0.0; 3]; s.len()]).collect();
     let mut all: Vec<Timings> = Vec::new();
     let (mut resting, mut clamps) = (0, 0);
@@ -108,17 +121,27 @@ fn press(path: &str, settings: &Settings, threads: usize) -> Result<(), Box<dyn 
         ("frames", sum(|t| t.frames_s)),
         ("skinning", sum(|t| t.skinning_s)),
     ] {
-        println!("  {name:15} {v:7.3} ms  {:5.1} %", 100.0 * v / sum(|t| t.total_s + t.skinning_s));
+        println!(
+            "  {name:15} {v:7.3} ms  {:5.1} %",
+            100.0 * v / sum(|t| t.total_s + t.skinning_s)
+        );
     }
     let c = solver.contacts();
-    println!("  contacts {} + {}, clamped {clamps}, digest {:016x}", c[0].contacts, c[1].contacts, solver.digest());
+    println!(
+        "  contacts {} + {}, clamped {clamps}, digest {:016x}",
+        c[0].contacts,
+        c[1].contacts,
+        solver.digest()
+    );
     Ok(())
 }
 
 fn table(name: &str, ms: &[f64]) {
     let mean = ms.iter().sum::<f64>() / ms.len() as f64;
     let sd = (ms.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (ms.len() as f64 - 1.0)).sqrt();
-    let (min, max) = ms.iter().fold((f64::INFINITY, 0f64), |(a, b), &v| (a.min(v), b.max(v)));
+    let (min, max) = ms
+        .iter()
+        .fold((f64::INFINITY, 0f64), |(a, b), &v| (a.min(v), b.max(v)));
     let mut sorted = ms.to_vec();
     sorted.sort_by(f64::total_cmp);
     println!(
@@ -177,9 +200,14 @@ fn grow(settings: &Settings, threads: usize) -> Result<(), Box<dyn Error>> {
     let mut points = Vec::new();
     for count in [2_000, 5_000, 10_000, 20_000, 50_000, 100_000, 200_000] {
         let body = SoftBody::from_raw(&block(count))?;
-        let (n, c, m) = (body.particle_count(), body.cluster_count(), body.membership_count());
+        let (n, c, m) = (
+            body.particle_count(),
+            body.cluster_count(),
+            body.membership_count(),
+        );
         let floor = Collider::plane("floor", Vec3::Y * -0.8, Vec3::Y);
-        let mut solver = Solver::with_threads(Scene::new(vec![body], vec![floor]), settings.clone(), threads)?;
+        let mut solver =
+            Solver::with_threads(Scene::new(vec![body], vec![floor]), settings.clone(), threads)?;
         let steps = (400_000 / count).clamp(6, 60);
         for _ in 0..4 {
             solver.step();
@@ -197,7 +225,10 @@ fn grow(settings: &Settings, threads: usize) -> Result<(), Box<dyn Error>> {
     }
     let tail: Vec<_> = points.iter().filter(|p| p.0 > 9000f64.ln()).copied().collect();
     let k = tail.len() as f64;
-    let (mx, my) = (tail.iter().map(|p| p.0).sum::<f64>() / k, tail.iter().map(|p| p.1).sum::<f64>() / k);
+    let (mx, my) = (
+        tail.iter().map(|p| p.0).sum::<f64>() / k,
+        tail.iter().map(|p| p.1).sum::<f64>() / k,
+    );
     let slope = tail.iter().map(|p| (p.0 - mx) * (p.1 - my)).sum::<f64>()
         / tail.iter().map(|p| (p.0 - mx).powi(2)).sum::<f64>();
     println!("  log-log slope from 10 000 on: {slope:.3}");

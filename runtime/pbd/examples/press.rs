@@ -57,7 +57,13 @@ fn main() -> Result<(), Box<dyn Error>> {
         vec![body],
         vec![
             Collider::fixed("cradle", Shape::Mesh(bed.clone()), Pose::IDENTITY),
-            Collider::moving("probe", Shape::Cuboid { half_extents_mm: HALF }, Pose::at(touch)),
+            Collider::moving(
+                "probe",
+                Shape::Cuboid {
+                    half_extents_mm: HALF,
+                },
+                Pose::at(touch),
+            ),
         ],
     );
     let mut solver = Solver::new(scene, settings)?;
@@ -112,19 +118,34 @@ fn main() -> Result<(), Box<dyn Error>> {
             && [1, 120, 210, 390, 480, 900].contains(&step)
         {
             solver.skin(0, &skin, &mut vertices)?;
-            write_obj(&folder.join(format!("organ-{step:03}.obj")), &vertices, &organ.triangles)?;
+            write_obj(
+                &folder.join(format!("organ-{step:03}.obj")),
+                &vertices,
+                &organ.triangles,
+            )?;
             let mut probe = TriangleMesh::cuboid(HALF);
             let pose = solver.pose(1)?;
             for v in &mut probe.vertices {
                 *v = pose.apply((*v).into()).to_array();
             }
-            write_obj(&folder.join(format!("probe-{step:03}.obj")), &probe.vertices, &probe.triangles)?;
+            write_obj(
+                &folder.join(format!("probe-{step:03}.obj")),
+                &probe.vertices,
+                &probe.triangles,
+            )?;
         }
     }
     if let Some(folder) = out {
         write_obj(&folder.join("cradle.obj"), &bed.vertices, &bed.triangles)?;
     }
-    println!("{} supports in the package", package.surfaces.iter().filter(|s| s.kind == SurfaceKind::Support).count());
+    println!(
+        "{} supports in the package",
+        package
+            .surfaces
+            .iter()
+            .filter(|s| s.kind == SurfaceKind::Support)
+            .count()
+    );
     Ok(())
 }
 

@@ -38,8 +38,13 @@ impl Reference {
         with_friction: bool,
     ) -> (Vec<DVec3>, Vec<f64>) {
         let n = self.x.len();
-        let (mut dx, mut count) = (vec![DVec3::ZERO; n], vec![0.0; n]);
+        let (mut dx, mut count) = (vec![DVec3::ZERO; n], vec![0f64; n]);
+        let symmetric = s.net_momentum == NetMomentum::Corrected && s.averaging == Averaging::PerGroup;
+        let candidates = |i: usize| near.iter().filter(|p| p.0 == i || p.1 == i).count();
         for &(i, j) in near {
+            if !with_friction && !s.stabilise_self_contacts && self.body[i] == self.body[j] {
+                continue;
+            }
             let apart = at[i] - at[j];
             let depth = self.contact_mm - apart.length();
             if depth <= 0.0 {
@@ -52,11 +57,15 @@ impl Reference {
                 let mu = s.particle_friction;
                 d -= friction(u, normal, depth, s.static_particle_friction.unwrap_or(mu), mu);
             }
+            if symmetric {
+                d /= candidates(i).max(candidates(j)) as f64;
+            }
             let (wi, wj) = (self.inverse_mass[i], self.inverse_mass[j]);
             dx[i] += d * (wi / (wi + wj));
             dx[j] -= d * (wj / (wi + wj));
-            count[i] += 1.0;
-            count[j] += 1.0;
+            for k in [i, j] {
+                count[k] = if symmetric { 1.0 } else { count[k] + 1.0 };
+            }
         }
         (dx, count)
     }
@@ -115,14 +124,22 @@ impl Reference {
         let total = self.total_counts(&p, &near);
         for _ in 0..s.stabilisation_iterations {
             let (mut dx, mut count) = self.pairs(s, &self.x, &near, false);
+            let symmetric = s.net_momentum == NetMomentum::Corrected && s.averaging == Averaging::PerGroup;
             for i in 0..n {
+                let (mut out, mut touched) = (DVec3::ZERO, 0.0);
                 for &(normal, offset, distance) in &self.planes {
                     let depth = offset + distance - normal.dot(self.x[i]);
                     if depth > 0.0 {
-                        dx[i] += normal * depth;
-                        count[i] += 1.0;
+                        out += normal * depth;
+                        touched += 1.0;
                     }
                 }
+                if symmetric && touched > 0.0 {
+                    (out, touched) = (out / touched, 1.0);
+                    count[i] = 0.0;
+                }
+                dx[i] += out;
+                count[i] += touched;
                 if count[i] > 0.0 && self.inverse_mass[i] > 0.0 {
                     self.x[i] += dx[i] / count[i];
                     p[i] += dx[i] / count[i];

@@ -15,6 +15,9 @@ pub struct Settings {
     /// Passes that take initial overlap out of positions and predictions alike, without a change of velocity. The
     /// paper gives no number; 1.
     pub stabilisation_iterations: u32,
+    /// Whether these passes also separate particles of one body. Such contacts stand against its own shape matching
+    /// for ever; taking them out of the positions alone makes a resting body creep, so: no.
+    pub stabilise_self_contacts: bool,
     /// ω of Eq. 7, from 1 to 2. Table 1: 1.
     pub over_relaxation: f64,
     /// What a correction is divided by. Table 1: local relaxation.
@@ -100,8 +103,9 @@ pub enum Group {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NetMomentum {
-    /// Each body without pinned particles gets its clusters' net displacement back, evenly: internal constraints then
-    /// never move its centre of mass, and contact forces balance its weight.
+    /// Each body without pinned particles gets its clusters' net displacement back, evenly, and the two corrections of
+    /// a particle contact are divided by one number, the larger count: internal constraints then never move the centre
+    /// of mass, and contact forces balance the weight. With [`Averaging::Total`] nothing is corrected.
     Corrected,
     /// Left as averaging makes it (Eq. 7 read literally).
     AsAveraged,
@@ -139,6 +143,7 @@ impl Default for Settings {
             substeps: 3,
             iterations: 9,
             stabilisation_iterations: 1,
+            stabilise_self_contacts: false,
             over_relaxation: 1.0,
             averaging: Averaging::PerGroup,
             group_order: [

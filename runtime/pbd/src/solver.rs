@@ -12,7 +12,7 @@ pub use particles::ClampCounts;
 pub use report::{BodyInfo, ClusterFrame, ContactReport, Timings};
 pub use state::SolverState;
 
-use crate::{Averaging, Group, PbdError, Pose, Settings, ShapeMatching, SkinnedPoints};
+use crate::{Averaging, Group, NetMomentum, PbdError, Pose, Settings, ShapeMatching, SkinnedPoints};
 use clusters::{Clusters, Gather, Matching};
 use glam::{DVec3, Vec3, Vec3A};
 use neighbours::{Neighbours, PairContact, Range};
@@ -259,6 +259,8 @@ impl Core {
         let pairs = PairContact {
             ranges: &self.ranges,
             rest_filter: s.rest_filter,
+            symmetric: s.net_momentum == NetMomentum::Corrected && !total,
+            stabilise_self: s.stabilise_self_contacts,
             friction: s.particle_friction as f32,
             static_friction: s.static_particle_friction.unwrap_or(s.particle_friction) as f32,
         };
@@ -288,7 +290,7 @@ impl Core {
                 break;
             }
             self.neighbours.correct(&mut self.particles, &pairs, true);
-            self.solids.correct_start(&mut self.particles);
+            self.solids.correct_start(&mut self.particles, pairs.symmetric);
             move_both(&mut self.particles);
         }
         self.timings.contacts_s += lap(&mut mark);
@@ -365,6 +367,9 @@ impl Core {
         for c in &self.counts {
             self.clamps.add(c);
         }
+        // Prediction scales gravity's impulse by the drag factor; contact impulses come after it. Brought to the same
+        // place in the step, the force that holds a resting body is its weight.
+        let drag = Some(s.drag_factor()).filter(|f| *f > 0.0).unwrap_or(1.0);
         let width = self.solids.list.len();
         let keep = if s.force_smoothing_s > 0.0 {
             (1.0 - s.dt_s / s.force_smoothing_s).max(0.0)
@@ -382,7 +387,7 @@ impl Core {
                 sum.area_mm2 += e.area_mm2;
                 sum.depth_mm = sum.depth_mm.max(e.depth_mm);
             }
-            report.update(&sum, s.substep_s() * s.dt_s, keep);
+            report.update(&sum, s.substep_s() * s.dt_s * drag, keep);
         }
     }
 }

@@ -365,6 +365,7 @@ fn solver_follows_the_reference_in_every_mode() {
                 Group::ShapeMatching,
             ],
             stabilisation_iterations: 3,
+            stabilise_self_contacts: true,
             ..base
         },
         1,

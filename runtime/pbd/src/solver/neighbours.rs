@@ -29,6 +29,8 @@ pub(super) struct Neighbours {
     near_width: usize,
     /// Fixed-width rows of candidates for contact, ascending.
     candidates: Vec<u32>,
+    /// Share of each candidate's correction that the row's particle gets.
+    shares: Vec<f32>,
     candidate_count: Vec<u32>,
     width: usize,
     /// Whether a chunk holds any candidate, and whether a row of `near` was full.
@@ -45,6 +47,10 @@ pub(super) struct Neighbours {
 pub(super) struct PairContact<'a> {
     pub ranges: &'a [Range],
     pub rest_filter: bool,
+    /// Divide each pair's corrections by one number for both, so that they cancel.
+    pub symmetric: bool,
+    /// Whether particles of one body push each other apart in stabilisation.
+    pub stabilise_self: bool,
     pub friction: f32,
     pub static_friction: f32,
 }
@@ -66,6 +72,7 @@ impl Neighbours {
             near_count: vec![0; particles],
             near_width,
             candidates: vec![0; particles * width],
+            shares: vec![0.0; particles * width],
             candidate_count: vec![0; particles],
             width,
             busy: vec![false; chunks],
@@ -152,6 +159,31 @@ impl Neighbours {
                 }
             });
         self.any = self.busy.contains(&true);
+        if self.any {
+            self.share(p, how);
+        }
+    }
+
+    /// Weights of the two sides of each pair, and what its corrections are divided by where that is symmetric.
+    fn share(&mut self, p: &Particles, how: &PairContact) {
+        let (candidates, count, width) = (&self.candidates, &self.candidate_count, self.width);
+        let weight = &p.contact_weight;
+        (self.shares.par_chunks_mut(CHUNK * width), self.busy.par_iter())
+            .into_par_iter()
+            .enumerate()
+            .filter(|(_, (_, busy))| **busy)
+            .for_each(|(chunk, (rows, _))| {
+                for i in chunk * CHUNK..((chunk + 1) * CHUNK).min(count.len()) {
+                    let row = i * width..i * width + count[i] as usize;
+                    for (share, &j) in rows[(i % CHUNK) * width..].iter_mut().zip(&candidates[row]) {
+                        let j = j as usize;
+                        *share = weight[i] / (weight[i] + weight[j]).max(f32::MIN_POSITIVE);
+                        if how.symmetric {
+                            *share /= count[i].max(count[j]) as f32;
+                        }
+                    }
+                }
+            });
     }
 
     fn rebuild(&mut self, p: &Particles, how: &PairContact) {
@@ -208,13 +240,12 @@ impl Neighbours {
             });
     }
 
-    /// Sums the corrections of particle contacts at the positions `at` into `p.correction`, with their counts.
-    /// Friction acts on the displacement since `p.x` where `friction` is set.
+    /// Sums the corrections of particle contacts into `p.correction`, with their counts: at the start positions for
+    /// stabilisation, else at the predicted ones, with friction against the displacement in between.
     pub(super) fn correct(&self, p: &mut Particles, how: &PairContact, at_start: bool) {
         let Particles {
             x,
             predicted,
-            contact_weight,
             inverse_mass,
             body,
             correction,
@@ -223,7 +254,9 @@ impl Neighbours {
         } = p;
         let at: &[Vec3A] = if at_start { x } else { predicted };
         let start: &[Vec3A] = x;
-        let (body, weight, inverse_mass) = (&*body, &*contact_weight, &*inverse_mass);
+        let (body, inverse_mass) = (&*body, &*inverse_mass);
+        // With one body the contact distance is the same for all pairs.
+        let uniform = (how.ranges.len() == 1).then(|| 2.0 * how.ranges[0].half_contact);
         (
             correction.par_chunks_mut(CHUNK),
             correction_count.par_chunks_mut(CHUNK),
@@ -239,17 +272,29 @@ impl Neighbours {
                 }
                 for k in 0..correction.len() {
                     let i = chunk * CHUNK + k;
-                    if inverse_mass[i] == 0.0 {
+                    let (from, n) = (i * self.width, self.candidate_count[i] as usize);
+                    if n == 0 || inverse_mass[i] == 0.0 {
                         continue;
                     }
-                    let a = &how.ranges[usize::from(body[i])];
-                    for &j in self.row(i) {
+                    let here = at[i];
+                    let moved = here - start[i];
+                    let (mut sum, mut touched) = (Vec3A::ZERO, 0);
+                    let row = self.candidates[from..from + n]
+                        .iter()
+                        .zip(&self.shares[from..from + n]);
+                    for (&j, &share) in row {
                         let j = j as usize;
-                        let b = &how.ranges[usize::from(body[j])];
-                        let contact = a.half_contact + b.half_contact;
-                        let apart = at[i] - at[j];
+                        let contact = match uniform {
+                            Some(contact) => contact,
+                            None => {
+                                let (a, b) = (usize::from(body[i]), usize::from(body[j]));
+                                how.ranges[a].half_contact + how.ranges[b].half_contact
+                            }
+                        };
+                        let apart = here - at[j];
                         let d2 = apart.length_squared();
-                        if d2 >= contact * contact {
+                        if d2 >= contact * contact || (at_start && !how.stabilise_self && body[i] == body[j])
+                        {
                             continue;
                         }
                         let distance = d2.sqrt();
@@ -259,15 +304,17 @@ impl Neighbours {
                             arbitrary_axis(i, j)
                         };
                         let depth = contact - distance;
-                        let share = weight[i] / (weight[i] + weight[j]);
                         let mut dx = normal * depth;
                         if !at_start {
-                            let u = (at[i] - start[i]) - (at[j] - start[j]);
+                            let u = moved - (at[j] - start[j]);
                             dx -= friction(u, normal, depth, how.static_friction, how.friction);
                         }
-                        correction[k] += dx * share;
-                        count[k] += 1;
+                        sum += dx * share;
+                        touched += 1;
                     }
+                    correction[k] = sum;
+                    // Symmetric shares are divided already.
+                    count[k] = if how.symmetric { touched.min(1) } else { touched };
                 }
             });
     }

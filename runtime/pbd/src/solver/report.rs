@@ -58,7 +58,8 @@ pub struct ContactReport {
 }
 
 impl ContactReport {
-    /// `h_dt_s2`: substep times step. A displacement over h is a velocity, mass times that over dt a force.
+    /// `h_dt_s2`: substep times step (times the drag factor). A displacement over h is a velocity, mass times that over
+    /// dt a force.
     pub(super) fn update(&mut self, e: &Exchange, h_dt_s2: f64, keep: f64) {
         // g·mm/s² is 1e-6 N.
         let scale = 1e-6 / h_dt_s2;

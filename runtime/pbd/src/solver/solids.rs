@@ -277,8 +277,9 @@ impl Solids {
         self.list.is_empty()
     }
 
-    /// Adds the corrections of shape contacts at the start positions to `p.correction`, with their counts.
-    pub(super) fn correct_start(&self, p: &mut Particles) {
+    /// Adds the corrections of shape contacts at the start positions to `p.correction`, with their counts: averaged
+    /// together with those of particle contacts, or on their own beside them where those are divided already.
+    pub(super) fn correct_start(&self, p: &mut Particles, apart: bool) {
         if self.list.is_empty() {
             return;
         }
@@ -299,13 +300,24 @@ impl Solids {
             .filter(|(_, (.., busy))| **busy)
             .for_each(|(chunk, (correction, count, x, _))| {
                 for k in 0..x.len() {
+                    let (mut sum, mut touched) = (Vec3A::ZERO, 0);
                     for c in self.row(chunk * CHUNK + k) {
                         let normal = Vec3A::from(c.normal);
                         let depth = c.offset - normal.dot(x[k]);
                         if depth > 0.0 {
-                            correction[k] += normal * depth;
-                            count[k] += 1;
+                            sum += normal * depth;
+                            touched += 1;
                         }
+                    }
+                    if touched == 0 {
+                        continue;
+                    }
+                    if apart {
+                        correction[k] += sum / touched as f32;
+                        count[k] = 1;
+                    } else {
+                        correction[k] += sum;
+                        count[k] += touched;
                     }
                 }
             });
