@@ -1,61 +1,88 @@
-//! Times of an image of a package under a smooth press:
-//! `cargo run --release -p palpate-ultrasound --example bench -- PACKAGE`.
+//! Times of images of a package under a smooth press, and the pictures:
+//! `cargo run --release -p palpate-ultrasound --example bench -- PACKAGE [FOLDER]`.
 
 use palpate_package::ModelPackage;
-use palpate_ultrasound::{Organ, Probe, ProbePose, Scanner, Settings, TissueTable};
+use palpate_ultrasound::{Level, Organ, Probe, ProbePose, Scanner, Settings, TissueTable};
 use std::time::Instant;
 
-fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let path = std::env::args().nth(1).ok_or("usage: bench PACKAGE")?;
+type Failure = Box<dyn std::error::Error>;
+
+fn main() -> Result<(), Failure> {
+    let mut args = std::env::args().skip(1);
+    let path = args.next().ok_or("usage: bench PACKAGE [FOLDER]")?;
+    let folder = args.next();
     let package = ModelPackage::read(&path)?;
-    let rest = package.embedding.vertices.clone();
-    let organ = Organ::new(&package, &TissueTable::default())?;
+    let tissues = TissueTable::default();
+    println!(
+        "{} threads, {} tets, {:?} voxels",
+        rayon::current_num_threads(),
+        package.embedding.tets.len(),
+        package.labels.dims
+    );
+    let rest = &package.embedding.vertices;
     let origin = package.info.local_origin_mm;
-    let bounds = |a: usize| {
-        let of = |f: fn(f32, f32) -> f32, start| rest.iter().map(|p| p[a]).fold(start, f);
-        (of(f32::min, f32::INFINITY), of(f32::max, f32::NEG_INFINITY))
-    };
-    let (_, front) = bounds(1);
-    // From the front, in the long axis, a dent of 8 mm under the probe.
+    // The organ's front: where a probe that comes from the front would touch first.
+    let organ = package.organ().ok_or("the package has no organ surface")?;
+    let top = organ.vertices.iter().fold(
+        [0.0, f32::NEG_INFINITY, 0.0],
+        |b, &p| if p[1] > b[1] { p } else { b },
+    );
+    let dent = 8.0;
     let deformed: Vec<[f32; 3]> = rest
         .iter()
         .map(|p| {
-            let d = p[0].powi(2) + (p[1] - front).powi(2) + p[2].powi(2);
-            [p[0], p[1] - 8.0 * (-d / (2.0 * 20.0f32.powi(2))).exp(), p[2]]
+            let d: f32 = (0..3).map(|a| (p[a] - top[a]).powi(2)).sum();
+            [p[0], p[1] - dent * (-d / (2.0 * 20.0f32.powi(2))).exp(), p[2]]
         })
         .collect();
-    let face = [origin[0], origin[1] + f64::from(front) - 8.0, origin[2]];
+    let face = [0, 1, 2].map(|a| origin[a] + f64::from(top[a]) - if a == 1 { f64::from(dent) } else { 0.0 });
     let pose = ProbePose::looking(face, [0.0, -1.0, 0.0], [0.0, 0.0, 1.0])?;
-    let probe = Probe {
-        depth_mm: 60.0,
-        ..Probe::default()
-    };
-    println!(
-        "threads {}, {} tets",
-        rayon::current_num_threads(),
-        package.embedding.tets.len()
-    );
-    let mut scanner = Scanner::new(vec![organ], probe, Settings::default())?;
-    report("level 0, 512×512", || {
-        scanner.slice(&[&deformed], &pose).map(|_| ())
-    })?;
-    let image = scanner.slice(&[&deformed], &pose)?;
-    println!("pixels by source {:?}", image.source_counts());
+    let probes = [("linear", Probe::default()), ("curvilinear", Probe::abdominal())];
+    for (kind, probe) in probes {
+        println!(
+            "{kind}, {} lines, {} mm deep, {} MHz, {} planes",
+            probe.lines, probe.depth_mm, probe.frequency_mhz, probe.planes
+        );
+        let mut reference = 0.0;
+        for level in [Level::Slice, Level::Grey, Level::Rays, Level::BMode] {
+            let settings = Settings {
+                level,
+                ..Settings::default()
+            };
+            let organ = Organ::new(&package, &tissues)?;
+            let mut scanner = Scanner::new(vec![organ], &tissues, probe, settings)?;
+            let time = median(|| scanner.image(&[&deformed], &pose).map(|_| ()))?;
+            if level == Level::Slice {
+                reference = time;
+            }
+            println!(
+                "  {level:?}: median {time:.2} ms, {:.1} times the slice",
+                time / reference
+            );
+            let image = scanner.image(&[&deformed], &pose)?;
+            if let Some(folder) = &folder {
+                std::fs::create_dir_all(folder)?;
+                let stem = format!("{folder}/{kind}-{level:?}").to_lowercase();
+                std::fs::write(format!("{stem}.png"), image.png()?)?;
+                std::fs::write(format!("{stem}.nii"), image.nifti())?;
+                std::fs::write(format!("{stem}.json"), image.metadata().json()?)?;
+            }
+        }
+    }
     Ok(())
 }
 
-/// Median and best of 60 runs after 5.
-fn report<E>(name: &str, mut run: impl FnMut() -> Result<(), E>) -> Result<(), E> {
-    for _ in 0..5 {
+/// Median time of 40 runs after 3, ms.
+fn median<E>(mut run: impl FnMut() -> Result<(), E>) -> Result<f64, E> {
+    for _ in 0..3 {
         run()?;
     }
     let mut times = Vec::new();
-    for _ in 0..60 {
+    for _ in 0..40 {
         let start = Instant::now();
         run()?;
         times.push(start.elapsed().as_secs_f64() * 1e3);
     }
     times.sort_by(f64::total_cmp);
-    println!("{name}: median {:.2} ms, best {:.2} ms", times[30], times[0]);
-    Ok(())
+    Ok(times[times.len() / 2])
 }

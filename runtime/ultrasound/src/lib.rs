@@ -1,7 +1,7 @@
 //! Ultrasound images of a deformed organ.
 //!
 //! Makes: the scan plane resampled from the CT through the deformed embedding mesh ([`Scanner::slice`], level 0, the method
-//! of Camara et al. 2016).
+//! of Camara et al. 2016), and B-mode images with reflection, shadow and speckle on top ([`Scanner::image`]).
 //! From: model packages, their embedding vertices as the solver has moved them, a probe and its pose.
 //! Refuses: packages whose arrays contradict each other, positions that are not one per vertex, poses that are not rigid.
 //!
@@ -9,24 +9,39 @@
 //! In the scan plane: lateral (columns) and depth (rows) in mm, elevation across.
 #![forbid(unsafe_code)]
 
+pub mod acoustics;
 mod background;
+mod beams;
 mod coverage;
 mod cut;
 mod error;
+mod image;
+mod lateral;
+mod nifti;
 mod organ;
+mod output;
 mod pose;
 mod probe;
+mod properties;
+mod rays;
+mod scan_conversion;
 mod scanner;
 mod settings;
 mod slice;
+mod slice_image;
+mod speckle;
 mod tissue;
 mod vector;
 
 pub use background::{Background, Source};
 pub use error::UltrasoundError;
+pub use image::{Echoes, Image};
 pub use organ::Organ;
+pub use output::{Metadata, OrganMetadata};
 pub use pose::{PixelGrid, ProbePose};
 pub use probe::{Probe, ProbeShape};
-pub use scanner::{Scanner, SliceImage};
-pub use settings::Settings;
+pub use properties::AcousticSource;
+pub use scanner::Scanner;
+pub use settings::{AcousticSettings, Level, Settings};
+pub use slice_image::SliceImage;
 pub use tissue::{HuPoint, Tissue, TissueTable};

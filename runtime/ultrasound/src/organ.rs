@@ -28,6 +28,8 @@ pub(crate) struct Volume {
     pub(crate) to_patient: Affine34,
     pub(crate) hu: Vec<i16>,
     pub(crate) label: Vec<u8>,
+    /// Mean distance of neighbouring voxels, mm.
+    pub(crate) spacing_mm: f64,
 }
 
 impl Organ {
@@ -221,7 +223,9 @@ impl Volume {
         hu: Vec<i16>,
         label: Vec<u8>,
     ) -> Self {
+        let size = |c: usize| (0..3).map(|r| to_patient[r][c].powi(2)).sum::<f64>().sqrt();
         Self {
+            spacing_mm: (size(0) + size(1) + size(2)) / 3.0,
             dims,
             to_index,
             to_patient,

@@ -75,6 +75,14 @@ impl ProbePose {
         [dot(d, self.lateral), dot(d, self.axial), dot(d, self.elevation())]
     }
 
+    /// The pose moved by `offset_mm` across its plane.
+    pub(crate) fn shifted(&self, offset_mm: f64) -> Self {
+        Self {
+            face_mm: add(self.face_mm, scale(self.elevation(), offset_mm)),
+            ..*self
+        }
+    }
+
     pub(crate) fn check(&self) -> Result<(), UltrasoundError> {
         let fault = |what, v: Vec3, expected| {
             Err(UltrasoundError::Pose {

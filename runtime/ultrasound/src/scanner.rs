@@ -1,22 +1,25 @@
+use crate::beams::Beams;
 use crate::cut::{Cut, check_deformed};
 use crate::organ::Organ;
 use crate::slice::{self, Pixels, Scene};
 use crate::vector::{norm, sub, wide};
-use crate::{PixelGrid, Probe, ProbePose, Settings, Source, UltrasoundError};
+use crate::{Image, Level, PixelGrid, Probe, ProbePose, Settings, SliceImage, TissueTable, UltrasoundError};
+use rayon::prelude::*;
 
 /// Makes images of deformed organs. Owns all buffers: after the first image none is allocated.
 #[derive(Clone, Debug)]
 pub struct Scanner {
-    organs: Vec<Organ>,
-    probe: Probe,
-    settings: Settings,
-    grid: PixelGrid,
+    pub(crate) organs: Vec<Organ>,
+    pub(crate) probe: Probe,
+    pub(crate) settings: Settings,
+    pub(crate) grid: PixelGrid,
     label_base: Vec<u16>,
     label_names: Vec<String>,
     edge_mm: Vec<f64>,
-    pose: Option<ProbePose>,
-    cut: Cut,
-    pixels: Pixels,
+    pub(crate) cut: Cut,
+    pub(crate) slice: Pixels,
+    pub(crate) beams: Option<Beams>,
+    pub(crate) grey: Vec<u8>,
 }
 
 impl Scanner {
@@ -24,12 +27,18 @@ impl Scanner {
     ///
     /// # Errors
     /// No organ, a setting out of range.
-    pub fn new(organs: Vec<Organ>, probe: Probe, settings: Settings) -> Result<Self, UltrasoundError> {
+    pub fn new(
+        organs: Vec<Organ>,
+        tissues: &TissueTable,
+        probe: Probe,
+        settings: Settings,
+    ) -> Result<Self, UltrasoundError> {
         if organs.is_empty() {
             return Err(UltrasoundError::NoOrgan);
         }
         probe.check()?;
         settings.check()?;
+        tissues.check()?;
         let mut label_base = Vec::new();
         let mut label_names = Vec::new();
         for organ in &organs {
@@ -44,8 +53,12 @@ impl Scanner {
         }
         let edge_mm = organs.iter().map(mean_edge).collect();
         let grid = probe.grid(settings.width_px, settings.height_px);
-        let mut pixels = Pixels::default();
-        pixels.resize(grid.len());
+        let mut slice = Pixels::default();
+        slice.resize(grid.len());
+        let beams = match settings.level {
+            Level::Slice | Level::Grey => None,
+            Level::Rays | Level::BMode => Some(Beams::new(&organs, tissues, &probe, &settings, &grid)?),
+        };
         Ok(Self {
             organs,
             probe,
@@ -54,9 +67,10 @@ impl Scanner {
             label_base,
             label_names,
             edge_mm,
-            pose: None,
             cut: Cut::default(),
-            pixels,
+            slice,
+            beams,
+            grey: vec![0; grid.len()],
         })
     }
 
@@ -107,9 +121,56 @@ impl Scanner {
             background: self.settings.background,
             fill_hu: f32::from(self.settings.fill_hu),
         };
-        slice::resample(&scene, &self.cut, pose, &self.grid, &mut self.pixels);
-        self.pose = Some(*pose);
+        slice::resample(&scene, &self.cut, pose, &self.grid, &mut self.slice);
         Ok(SliceImage {
+            scanner: self,
+            pose: *pose,
+        })
+    }
+
+    /// The image of the settings' level, as grey values. Arguments and errors as [`Scanner::slice`].
+    ///
+    /// # Errors
+    /// As [`Scanner::slice`].
+    pub fn image(
+        &mut self,
+        deformed: &[&[[f32; 3]]],
+        pose: &ProbePose,
+    ) -> Result<Image<'_>, UltrasoundError> {
+        if let Some(beams) = &mut self.beams {
+            check_deformed(&self.organs, deformed)?;
+            pose.check()?;
+            let scene = Scene {
+                organs: &self.organs,
+                label_base: &self.label_base,
+                edge_mm: &self.edge_mm,
+                background: self.settings.background,
+                fill_hu: f32::from(self.settings.fill_hu),
+            };
+            let level = self.settings.level;
+            beams.image(&scene, &self.probe, level, deformed, pose, &mut self.grey);
+        } else {
+            self.slice(deformed, pose)?;
+            let (grid, s) = (&self.grid, &self.settings);
+            let width = grid.width_px;
+            self.grey
+                .par_chunks_mut(width)
+                .zip(self.slice.hu.par_chunks(width))
+                .enumerate()
+                .for_each(|(row, (pixels, hu))| {
+                    let depth_cm = 0.1 * grid.plane([0.0, row as f64])[1].max(0.0);
+                    let gain_db = if s.level == Level::Grey {
+                        s.grey_gain_db_cm * depth_cm
+                    } else {
+                        0.0
+                    };
+                    let gain = 255.0 * 10f64.powf(gain_db / 20.0) as f32 / (s.white_hu - s.black_hu);
+                    for (pixel, &hu) in pixels.iter_mut().zip(hu) {
+                        *pixel = ((hu - s.black_hu) * gain + 0.5).clamp(0.0, 255.0) as u8;
+                    }
+                });
+        }
+        Ok(Image {
             scanner: self,
             pose: *pose,
         })
@@ -137,117 +198,4 @@ fn mean_edge(organ: &Organ) -> f64 {
         }
     }
     sum / (6 * organ.tets.len()).max(1) as f64
-}
-
-/// A level 0 image, borrowed from its [`Scanner`]. Arrays are row by row, first row nearest to the transducer.
-#[derive(Clone, Copy, Debug)]
-pub struct SliceImage<'a> {
-    scanner: &'a Scanner,
-    pose: ProbePose,
-}
-
-impl<'a> SliceImage<'a> {
-    /// CT values, HU.
-    pub fn hu(&self) -> &'a [f32] {
-        &self.scanner.pixels.hu
-    }
-
-    /// Label codes: 0, or n + 1 for [`Scanner::label_names`]`[n]`; the nearest voxel's at the rest point.
-    pub fn labels(&self) -> &'a [u16] {
-        &self.scanner.pixels.label
-    }
-
-    /// Where each pixel's value is from, as the numbers of [`Source`].
-    pub fn sources(&self) -> &'a [u8] {
-        &self.scanner.pixels.source
-    }
-
-    /// Number of pixels by source, in the order of [`Source::ALL`].
-    pub fn source_counts(&self) -> [usize; 7] {
-        let mut out = [0; 7];
-        for &s in self.sources() {
-            if let Some(n) = out.get_mut(usize::from(s)) {
-                *n += 1;
-            }
-        }
-        out
-    }
-
-    /// Tets of all meshes that are inverted or not finite, in this plane or not.
-    pub fn inverted_tets(&self) -> usize {
-        self.scanner.cut.inverted_tets
-    }
-
-    /// Pixels.
-    pub fn grid(&self) -> &'a PixelGrid {
-        &self.scanner.grid
-    }
-
-    /// The pose of the plane.
-    pub fn pose(&self) -> &ProbePose {
-        &self.pose
-    }
-
-    /// The scanner that made it.
-    pub fn scanner(&self) -> &'a Scanner {
-        self.scanner
-    }
-
-    /// Organ and tet that a pixel lies in.
-    pub fn tet(&self, column: usize, row: usize) -> Option<(usize, usize)> {
-        let p = self
-            .scanner
-            .cut
-            .polygons
-            .get(self.polygon(column, row)? as usize)?;
-        Some((p.organ as usize, p.tet as usize))
-    }
-
-    /// Patient point (mm) of a pixel position (column, row); fractions allowed.
-    pub fn patient_point(&self, pixel: [f64; 2]) -> [f64; 3] {
-        let [x, z] = self.grid().plane(pixel);
-        self.pose.point(x, z, 0.0)
-    }
-
-    /// Pixel position (column, row) of a patient point's foot in the plane, and the point's distance from the plane (mm,
-    /// signed, along the elevation). The position may lie outside of the image.
-    pub fn pixel_of(&self, patient_mm: [f64; 3]) -> ([f64; 2], f64) {
-        let [x, z, y] = self.pose.plane(patient_mm);
-        (self.grid().pixel([x, z]), y)
-    }
-
-    /// Rest point (patient mm) of a pixel's centre by the deformed tet; `None` outside of the meshes.
-    pub fn rest_point(&self, column: usize, row: usize) -> Option<[f64; 3]> {
-        let plane = self.grid().plane([column as f64, row as f64]);
-        let polygon = self.polygon(column, row)?;
-        slice::rest_point(&self.scanner.organs, &self.scanner.cut, polygon, plane)
-    }
-
-    fn polygon(&self, column: usize, row: usize) -> Option<u32> {
-        let g = self.grid();
-        if column >= g.width_px || row >= g.height_px {
-            return None;
-        }
-        self.scanner
-            .pixels
-            .polygon
-            .get(column + row * g.width_px)
-            .copied()
-    }
-
-    /// Grey values by the CT window of the settings.
-    pub fn grey(&self) -> Vec<u8> {
-        let s = &self.scanner.settings;
-        let gain = 255.0 / (s.white_hu - s.black_hu);
-        self.hu()
-            .iter()
-            .map(|&v| ((v - s.black_hu) * gain + 0.5).clamp(0.0, 255.0) as u8)
-            .collect()
-    }
-
-    /// Whether a pixel's value is from a source.
-    pub fn is(&self, column: usize, row: usize, source: Source) -> bool {
-        let n = column + row * self.grid().width_px;
-        column < self.grid().width_px && self.sources().get(n) == Some(&(source as u8))
-    }
 }

@@ -14,7 +14,7 @@ pub struct Tissue {
     pub impedance_mrayl: f32,
     /// One-way attenuation, dB/(cm·MHz).
     pub attenuation_db_cm_mhz: f32,
-    /// Speed of sound, m/s: bends the beam at oblique interfaces; the image is drawn at 1540 m/s throughout.
+    /// Speed of sound, m/s: enters the reflection at oblique interfaces; the image is drawn straight at 1540 m/s.
     pub speed_m_s: f32,
     /// Share of the speckle lattice's cells that hold a scatterer, 0 to 1.
     pub scatter_share: f32,

@@ -14,7 +14,7 @@ const ORIGIN: [f64; 3] = [37.0, -112.0, 240.0];
 fn scanner(packages: &[&ModelPackage], probe: Probe, settings: Settings) -> Scanner {
     let table = TissueTable::default();
     let organs = packages.iter().map(|p| Organ::new(p, &table).unwrap()).collect();
-    Scanner::new(organs, probe, settings).unwrap()
+    Scanner::new(organs, &table, probe, settings).unwrap()
 }
 
 fn probe(width_mm: f64, depth_mm: f64) -> Probe {
