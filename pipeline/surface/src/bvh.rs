@@ -1,4 +1,5 @@
 use crate::TriMesh;
+use crate::box3::Box3;
 use crate::intersect::Corners;
 use crate::validate::{MeshError, check_arrays};
 use crate::vector::{add_scaled, dot, sub};
@@ -22,60 +23,12 @@ pub struct ClosestPoint {
     pub distance2_mm2: f64,
 }
 
-#[derive(Clone, Copy, Default)]
-struct Node {
-    lo: [f32; 3],
-    hi: [f32; 3],
-}
-
-impl Node {
-    fn of(t: &Corners) -> Self {
-        let mut n = Self::default();
-        for x in 0..3 {
-            // Rounded outward, so that the box holds the triangle in spite of f32.
-            n.lo[x] = (t[0][x].min(t[1][x]).min(t[2][x]) as f32).next_down();
-            n.hi[x] = (t[0][x].max(t[1][x]).max(t[2][x]) as f32).next_up();
-        }
-        n
-    }
-
-    fn union(&self, o: &Self) -> Self {
-        Self {
-            lo: std::array::from_fn(|x| self.lo[x].min(o.lo[x])),
-            hi: std::array::from_fn(|x| self.hi[x].max(o.hi[x])),
-        }
-    }
-
-    #[inline]
-    fn overlaps(&self, o: &Self) -> bool {
-        // Not short-circuited: six comparisons are cheaper than a mispredicted branch.
-        (self.lo[0] <= o.hi[0])
-            & (self.hi[0] >= o.lo[0])
-            & (self.lo[1] <= o.hi[1])
-            & (self.hi[1] >= o.lo[1])
-            & (self.lo[2] <= o.hi[2])
-            & (self.hi[2] >= o.lo[2])
-    }
-
-    #[inline]
-    fn distance2(&self, p: [f64; 3]) -> f64 {
-        let mut d2 = 0.0;
-        for x in 0..3 {
-            let d = (f64::from(self.lo[x]) - p[x])
-                .max(p[x] - f64::from(self.hi[x]))
-                .max(0.0);
-            d2 += d * d;
-        }
-        d2
-    }
-}
-
 /// Bounding-box tree over the triangles of a mesh: nearest points and overlapping pairs.
 ///
 /// A perfect binary tree in depth-first order, split at the median of the longest axis; the same on any number of
 /// threads.
 pub struct TriangleBvh {
-    nodes: Vec<Node>,
+    nodes: Vec<Box3>,
     /// The tree has 2^levels leaves; leaf l holds slots n·l >> levels to n·(l + 1) >> levels.
     levels: u32,
     corners: Vec<Corners>,
@@ -108,7 +61,7 @@ impl TriangleBvh {
             })
             .collect();
         let levels = n.div_ceil(LEAF).next_power_of_two().trailing_zeros();
-        let mut nodes = vec![Node::default(); (2usize << levels) - 1];
+        let mut nodes = vec![Box3::EMPTY; (2usize << levels) - 1];
         if n > 0 {
             let build = Build {
                 corners_of: &corners_of,
@@ -222,7 +175,7 @@ impl TriangleBvh {
         test: impl Fn(u32, &Corners, u32, &Corners) -> bool + Sync,
     ) -> Vec<(u32, u32)> {
         let leaves = 1usize << self.levels;
-        let boxes: Vec<Node> = self.corners.par_iter().map(Node::of).collect();
+        let boxes: Vec<Box3> = self.corners.par_iter().map(Box3::of).collect();
         (0..leaves)
             .into_par_iter()
             .with_min_len(64)
@@ -239,7 +192,7 @@ impl TriangleBvh {
     fn leaf_pairs(
         &self,
         leaf: usize,
-        boxes: &[Node],
+        boxes: &[Box3],
         test: &(impl Fn(u32, &Corners, u32, &Corners) -> bool + Sync),
         found: &mut Vec<(u32, u32)>,
     ) {
@@ -254,7 +207,7 @@ impl TriangleBvh {
             depth -= 1;
             let (node, first, height) = stack[depth];
             // Each pair once: only leaves from this one on.
-            if first + (1 << height) <= leaf || !self.nodes[node].overlaps(&all) {
+            if first + (1 << height) <= leaf || !self.nodes[node].meets(&all) {
                 continue;
             }
             if height > 0 {
@@ -266,7 +219,7 @@ impl TriangleBvh {
             }
             for s in mine.clone() {
                 for o in self.slots(first) {
-                    if o > s && boxes[s].overlaps(&boxes[o]) {
+                    if o > s && boxes[s].meets(&boxes[o]) {
                         let (a, b) = if self.faces[s] < self.faces[o] {
                             (s, o)
                         } else {
@@ -291,11 +244,11 @@ struct Build<'a> {
 
 impl Build<'_> {
     /// Fills `nodes`, the subtree whose first leaf is `leaf` at `depth`, and orders its `items`.
-    fn subtree(&self, nodes: &mut [Node], items: &mut [Item], leaf: usize, depth: u32) {
+    fn subtree(&self, nodes: &mut [Box3], items: &mut [Item], leaf: usize, depth: u32) {
         let height = self.levels - depth;
         if height == 0 {
-            let boxes = items.iter().map(|i| Node::of(&(self.corners_of)(i.face)));
-            nodes[0] = boxes.reduce(|a, b| a.union(&b)).unwrap_or(EMPTY);
+            let boxes = items.iter().map(|i| Box3::of(&(self.corners_of)(i.face)));
+            nodes[0] = boxes.reduce(|a, b| a.union(&b)).unwrap_or(Box3::EMPTY);
             return;
         }
         let mut lo = [f32::INFINITY; 3];
@@ -332,11 +285,6 @@ impl Build<'_> {
         top[0] = left[0].union(&right[0]);
     }
 }
-
-const EMPTY: Node = Node {
-    lo: [f32::INFINITY; 3],
-    hi: [f32::NEG_INFINITY; 3],
-};
 
 /// The point of the closed triangle `t` nearest to `p` (Ericson, Real-Time Collision Detection, 5.1.5).
 #[inline]

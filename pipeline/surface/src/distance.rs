@@ -2,6 +2,7 @@
 
 use crate::TriMesh;
 use crate::bvh::TriangleBvh;
+use crate::guard::bounds;
 use crate::intersect::Corners;
 use crate::validate::{MeshError, check_arrays};
 use crate::vector::{add_scaled, cross, dot, length, sub};
@@ -12,7 +13,7 @@ use serde::{Deserialize, Serialize};
 /// Distances over an area-weighted set of samples, mm. All zero where there is no sample.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct DistanceStats {
-    /// Points measured.
+    /// Points measured: the samples, and those vertices that may lie farthest.
     pub samples: usize,
     /// Root of the area-weighted mean square.
     pub rms_mm: f64,
@@ -123,34 +124,97 @@ pub fn sample_surface(mesh: &TriMesh, count: usize) -> Result<Vec<[f64; 3]>, Mes
         .collect())
 }
 
+/// Which vertices are measured besides the samples, for the largest distance.
+#[derive(Clone, Copy, PartialEq)]
+enum Vertices {
+    All,
+    /// Those that may lie farthest. A distance to a fixed set changes by no more than the point moves, so one vertex
+    /// tells of its neighbours.
+    Farthest,
+}
+
 /// (distance, weight) of the samples of `from` and of its used vertices (weight 0), exempt ones apart.
 fn measure(
     from: &TriMesh,
     samples: usize,
     exempt: Exempt,
+    vertices: Vertices,
     distance: impl Fn(&[[f64; 3]]) -> Vec<f64>,
 ) -> Result<[Vec<(f64, f64)>; 2], MeshError> {
-    let mut points = sample_surface(from, samples)?;
-    let weighted = points.len();
+    let points = sample_surface(from, samples)?;
+    let mut out = [Vec::with_capacity(points.len()), Vec::new()];
+    let mut most = [0.0f64; 2];
+    let mut take = |p: [f64; 3], d: f64, weight: f64, most: &mut [f64; 2]| {
+        let class = usize::from(exempt(p));
+        most[class] = most[class].max(d);
+        out[class].push((d, weight));
+    };
+    for (p, d) in points.iter().zip(distance(&points)) {
+        take(*p, d, 1.0, &mut most);
+    }
     let mut used = vec![false; from.vertices.len()];
     from.triangles
         .iter()
         .flatten()
         .for_each(|&v| used[v as usize] = true);
-    points.extend(
-        from.vertices
-            .iter()
-            .zip(&used)
-            .filter(|(_, u)| **u)
-            .map(|(p, _)| *p),
-    );
-    let d = distance(&points);
-    let mut out = [Vec::with_capacity(points.len()), Vec::new()];
-    for (n, (p, d)) in points.iter().zip(d).enumerate() {
-        out[usize::from(exempt(*p))].push((d, if n < weighted { 1.0 } else { 0.0 }));
+    let mut rest: Vec<[f64; 3]> = from
+        .vertices
+        .iter()
+        .zip(&used)
+        .filter(|(_, u)| **u)
+        .map(|(p, _)| *p)
+        .collect();
+    if vertices == Vertices::Farthest {
+        let (order, starts) = by_cell(&rest, CELL_SHARE * most[0].max(most[1]));
+        let first: Vec<[f64; 3]> = starts.iter().map(|&s| rest[order[s] as usize]).collect();
+        let found = distance(&first);
+        for (p, d) in first.iter().zip(&found) {
+            take(*p, *d, 0.0, &mut most);
+        }
+        let mut far = Vec::new();
+        for (n, (p, d)) in first.iter().zip(&found).enumerate() {
+            let end = starts.get(n + 1).copied().unwrap_or(order.len());
+            for v in &order[starts[n] + 1..end] {
+                let q = rest[*v as usize];
+                if d + length(sub(q, *p)) > most[usize::from(exempt(q))] - 1e-9 {
+                    far.push(q);
+                }
+            }
+        }
+        rest = far;
+    }
+    for (p, d) in rest.iter().zip(distance(&rest)) {
+        take(*p, d, 0.0, &mut most);
     }
     Ok(out)
 }
+
+/// Points by the cubes of about `cell_mm` in which they lie: their order, and where in it each cube starts.
+fn by_cell(points: &[[f64; 3]], cell_mm: f64) -> (Vec<u32>, Vec<usize>) {
+    let (lo, hi) = bounds(points);
+    let extent = (0..3).map(|a| hi[a] - lo[a]).fold(0.0, f64::max);
+    let cell = cell_mm.max(extent / f64::from(MOST_CELLS)).max(1e-12);
+    let mut keyed: Vec<(u64, u32)> = points
+        .par_iter()
+        .with_min_len(4096)
+        .enumerate()
+        .map(|(n, p)| {
+            let key = (0..3).fold(0, |key, a| key << 20 | ((p[a] - lo[a]) / cell) as u64);
+            (key, n as u32)
+        })
+        .collect();
+    keyed.par_sort_unstable();
+    let starts = (0..keyed.len())
+        .filter(|&n| n == 0 || keyed[n - 1].0 != keyed[n].0)
+        .collect();
+    (keyed.into_iter().map(|k| k.1).collect(), starts)
+}
+
+/// Edge of the cubes as a share of the largest distance of the samples: most cubes are told by one vertex, and there
+/// are few cubes.
+const CELL_SHARE: f64 = 0.4;
+/// Cubes along the longest side, at most.
+const MOST_CELLS: u32 = 256;
 
 fn to_tree(tree: &TriangleBvh, points: &[[f64; 3]]) -> Vec<f64> {
     let hits = tree.closest_all(points);
@@ -179,7 +243,13 @@ pub fn one_way_distance(
     if to.is_empty() {
         return Err(MeshError::NoTriangles);
     }
-    Ok(one_way(measure(from, samples, exempt, |p| to_tree(to, p))?))
+    Ok(one_way(measure(
+        from,
+        samples,
+        exempt,
+        Vertices::Farthest,
+        |p| to_tree(to, p),
+    )?))
 }
 
 /// Distances between two surfaces both ways: `samples` evenly spread points of each, and the vertices of each.
@@ -204,8 +274,8 @@ pub fn surface_distance_exempting(
     if ta.is_empty() || tb.is_empty() {
         return Err(MeshError::NoTriangles);
     }
-    let ab = measure(a, samples, exempt, |p| to_tree(&tb, p))?;
-    let ba = measure(b, samples, exempt, |p| to_tree(&ta, p))?;
+    let ab = measure(a, samples, exempt, Vertices::Farthest, |p| to_tree(&tb, p))?;
+    let ba = measure(b, samples, exempt, Vertices::Farthest, |p| to_tree(&ta, p))?;
     let both = |n: usize| {
         let mut all = Vec::with_capacity(ab[n].len() + ba[n].len());
         for half in [&ab[n], &ba[n]] {
@@ -260,7 +330,7 @@ pub fn mesh_to_field(
     samples: usize,
     exempt: Exempt,
 ) -> Result<OneWayDistance, MeshError> {
-    let all = measure(mesh, samples, exempt, |points| {
+    let all = measure(mesh, samples, exempt, Vertices::All, |points| {
         points
             .par_iter()
             .with_min_len(512)

@@ -189,7 +189,7 @@ impl<'a, F: Implicit + ?Sized> Improver<'a, F> {
         } else {
             1.1 * old + 0.1 * tolerance
         };
-        (new <= allowed && m.may_flip(h) && self.anchors.may_change(m, h)).then_some(gain)
+        (new <= allowed && m.may_flip(h) && self.anchors.may_flip(m, h)).then_some(gain)
     }
 
     /// Mean squared distance to the zero set of the middle of an edge and the centres of its two triangles.
@@ -221,16 +221,27 @@ impl<'a, F: Implicit + ?Sized> Improver<'a, F> {
     }
 
     fn flip_sweep(&mut self) {
+        // After the first pass only edges of triangles that changed can have become worth a flip.
+        let mut fresh = vec![true; self.mesh.org.len() / 3];
         for _ in 0..3 {
+            let mut changed = vec![false; fresh.len()];
             let mut done = 0;
             for h in 0..self.mesh.org.len() as u32 {
-                if self.mesh.org[h as usize] != NONE && h < self.mesh.twin(h) {
-                    done += usize::from(self.try_flip(h));
+                let t = self.mesh.twin[h as usize];
+                let [f, g] = [h / 3, t / 3].map(|f| f as usize);
+                if self.mesh.org[h as usize] != NONE
+                    && h < t
+                    && (fresh[f] || fresh[g] || changed[f] || changed[g])
+                    && self.try_flip(h)
+                {
+                    (changed[f], changed[g]) = (true, true);
+                    done += 1;
                 }
             }
             if done == 0 {
                 break;
             }
+            fresh = changed;
         }
     }
 

@@ -4,6 +4,7 @@
 //! Does: iso-surface (marching cubes) → HC Laplacian smoothing → quadric edge collapse → improvement, with checks.
 //! Refuses: a result that is open, non-manifold, inverted or self-intersecting.
 
+mod box3;
 mod bvh;
 mod cell_table;
 mod components;

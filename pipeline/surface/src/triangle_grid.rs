@@ -1,4 +1,5 @@
 use crate::TriMesh;
+use crate::box3::Box3;
 use crate::intersect::{Corners, faces_intersect};
 use crate::validate::{MeshError, check_arrays};
 
@@ -8,6 +9,8 @@ const MAX_CELLS: f64 = 8e6;
 /// Longest row of cells on an axis.
 const MAX_ROW: f64 = 4096.0;
 
+/// New faces that are looked up together, at most: those around two vertices.
+const BATCH: usize = 24;
 /// Faces in a chunk: chunks are half a cache line, as walking a list face by face waits for memory at each step.
 const CHUNK: usize = 7;
 
@@ -136,13 +139,7 @@ impl TriangleGrid {
                 present: false,
             };
             self.entries.resize(n + 1, vacant);
-            self.boxes.resize(
-                n + 1,
-                Box3 {
-                    lo: [0.0; 3],
-                    hi: [0.0; 3],
-                },
-            );
+            self.boxes.resize(n + 1, Box3::EMPTY);
         }
         self.entries[n] = Entry {
             vertices,
@@ -281,62 +278,31 @@ impl TriangleGrid {
     /// For an edge collapse: `candidates` are the surviving faces around both ends in their new shape, `ignore` all
     /// old faces around both.
     pub fn would_any_intersect(&self, candidates: &[([u32; 3], Corners)], ignore: &[u32]) -> bool {
-        let Some(within) = candidates
-            .iter()
-            .map(|(_, c)| Box3::of(c))
-            .reduce(|a, b| a.union(&b))
-        else {
-            return false;
-        };
         let among = |n: usize| {
             let (t, c) = &candidates[n];
             candidates[n + 1..]
                 .iter()
                 .any(|(u, d)| faces_intersect(*t, c, *u, d))
         };
-        (0..candidates.len()).any(among)
-            || self.any_in(within, |face, held, held_corners| {
+        if (0..candidates.len()).any(among) {
+            return true;
+        }
+        let mut boxes = [Box3::EMPTY; BATCH];
+        candidates.chunks(BATCH).any(|batch| {
+            let mut within = Box3::EMPTY;
+            for (b, (_, c)) in boxes.iter_mut().zip(batch) {
+                *b = Box3::of(c);
+                within = within.union(b);
+            }
+            self.any_in(within, |face, held, held_corners| {
                 let bounds = &self.boxes[face as usize];
                 !ignore.contains(&face)
-                    && candidates.iter().any(|(t, c)| {
-                        bounds.meets(&Box3::of(c)) && faces_intersect(*t, c, held, held_corners)
-                    })
+                    && batch
+                        .iter()
+                        .zip(&boxes)
+                        .any(|((t, c), b)| bounds.meets(b) && faces_intersect(*t, c, held, held_corners))
             })
-    }
-}
-
-/// Closed axis-aligned box, rounded outward to single precision: half the memory to fetch.
-#[derive(Clone, Copy)]
-struct Box3 {
-    lo: [f32; 3],
-    hi: [f32; 3],
-}
-
-impl Box3 {
-    #[inline]
-    fn of(t: &Corners) -> Self {
-        Self {
-            lo: std::array::from_fn(|x| (t[0][x].min(t[1][x]).min(t[2][x]) as f32).next_down()),
-            hi: std::array::from_fn(|x| (t[0][x].max(t[1][x]).max(t[2][x]) as f32).next_up()),
-        }
-    }
-
-    fn union(&self, o: &Self) -> Self {
-        Self {
-            lo: std::array::from_fn(|x| self.lo[x].min(o.lo[x])),
-            hi: std::array::from_fn(|x| self.hi[x].max(o.hi[x])),
-        }
-    }
-
-    /// Not short-circuited: six comparisons are cheaper than a mispredicted branch.
-    #[inline]
-    fn meets(&self, o: &Self) -> bool {
-        (self.lo[0] <= o.hi[0])
-            & (self.hi[0] >= o.lo[0])
-            & (self.lo[1] <= o.hi[1])
-            & (self.hi[1] >= o.lo[1])
-            & (self.lo[2] <= o.hi[2])
-            & (self.hi[2] >= o.lo[2])
+        })
     }
 }
 

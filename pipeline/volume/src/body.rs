@@ -1,6 +1,6 @@
 //! From the voxels of one body to its smooth field.
 
-use crate::distance::redistance;
+use crate::distance::{redistance, redistance_near};
 use crate::enclosed::{Cells, enclosed_volume, solve_shift};
 use crate::field_repair::{Wanted, follow_flips, repair_signs, repair_voxels};
 use crate::slices::{SliceStack, fill_unseen_holes, interpolate, take_creases};
@@ -330,7 +330,7 @@ pub(crate) fn build_body(
     let start = shape(&mask.data, mask.dims);
     let repaired = repair_signs(&mut values, &grid, &wanted, &|_| true);
     if !repaired.flips.is_empty() {
-        redistance(&mut values, &grid);
+        redistance_near(&mut values, &grid, repaired.flips.iter().map(|f| f.0));
         follow_flips(&mut mask, &grid, &to_index, &repaired.flips);
         if let Some(raw) = &mut interpolated {
             // What went from the body goes from what it is compared with, by the same rules.

@@ -9,6 +9,12 @@ const BAND: u8 = 5;
 /// interpolating between them grows with the square, and small grids hold small (strongly curved) bodies.
 const SMALL: usize = 4_000_000;
 const UNKNOWN: u8 = u8::MAX;
+/// A surface point that is off sideways by s makes a distance d too large by s²/2d: less than this (samples) is let be.
+const SLIDE_TOLERANCE: f32 = 0.05;
+/// Samples around a change within which distances are found anew.
+const AROUND: usize = 14;
+/// Changes within about this many samples of each other are handled together.
+const TOGETHER: usize = 8;
 
 /// Samples (sorted) that have a face neighbour of the other sign. Negative is inside.
 pub(crate) fn boundary_samples(values: &[f32], dims: [usize; 3]) -> Vec<u32> {
@@ -122,8 +128,9 @@ fn first_order(v: &[f32], dims: [usize; 3], h: f32, n: usize) -> (f32, [f32; 3])
 }
 
 /// Upwind solution of |∇d| = 1 from the smallest neighbours along each axis.
-fn upwind(mut t: [f32; 3], h: f32) -> f32 {
-    t.sort_by(f32::total_cmp);
+fn upwind(t: [f32; 3], h: f32) -> f32 {
+    let (a, b) = (t[0].min(t[1]), t[0].max(t[1]));
+    let t = [a.min(t[2]), b.min(t[2].max(a)), b.max(t[2])];
     let mut d = t[0] + h;
     if d > t[1] {
         let s = t[0] + t[1];
@@ -200,12 +207,14 @@ fn fill_far(values: &mut [f32], layer: &[u8], dims: [usize; 3], h: f32, points: 
             let c = [n % cx, n / cx % cy, n / (cx * cy)];
             let f: [usize; 3] = std::array::from_fn(|a| c[a] * step);
             let known = f[0] < nx && f[1] < ny && f[2] < nz;
-            let at = f[0] + nx * (f[1] + ny * f[2]);
+            // Nodes beyond the grid's end are on the side of the last sample.
+            let g: [usize; 3] = std::array::from_fn(|a| f[a].min(dims[a] - 1));
+            let at = g[0] + nx * (g[1] + ny * g[2]);
             if known && layer[at] != UNKNOWN {
                 return values[at];
             }
             let d = slide(values, dims, h, f, points[nearest[n] as usize]) * h;
-            let inside = known && values[at] < 0.0;
+            let inside = values[at] < 0.0;
             if inside { -d } else { d }
         })
         .collect();
@@ -254,7 +263,11 @@ fn slide(values: &[f32], dims: [usize; 3], h: f32, x: [usize; 3], p: [f32; 3]) -
         };
         let g2 = g.iter().map(|v| v * v).sum::<f32>();
         let along = (0..3).map(|a| (x[a] - p[a]) * g[a]).sum::<f32>() / g2.max(1e-12);
-        let mut q: [f32; 3] = std::array::from_fn(|a| p[a] + 0.7 * (x[a] - p[a] - along * g[a]));
+        let aside: [f32; 3] = std::array::from_fn(|a| x[a] - p[a] - along * g[a]);
+        if aside.iter().map(|v| v * v).sum::<f32>() < 2.0 * SLIDE_TOLERANCE * best {
+            break;
+        }
+        let mut q: [f32; 3] = std::array::from_fn(|a| p[a] + 0.7 * aside[a]);
         for _ in 0..2 {
             let Some((v, g)) = interpolate(values, dims, q) else {
                 return best;
@@ -309,46 +322,172 @@ fn distance2(c: [usize; 3], step: usize, p: [f32; 3]) -> f32 {
 fn nearest_points(dims: [usize; 3], step: usize, points: &[[f32; 3]]) -> Vec<u32> {
     const NONE: u32 = u32::MAX;
     let [nx, ny, nz] = dims;
-    let mut best = vec![NONE; nx * ny * nz];
+    // One layer more on every side, so that every node has all its neighbours.
+    let (px, py) = (nx + 2, ny + 2);
+    let at = |c: [usize; 3]| c[0] + 1 + px * (c[1] + 1 + py * (c[2] + 1));
+    let mut best = vec![NONE; px * py * (nz + 2)];
     let mut dist = vec![f32::MAX; best.len()];
     for (n, p) in points.iter().enumerate() {
         let c: [usize; 3] =
             std::array::from_fn(|a| ((p[a] / step as f32).max(0.0) as usize).min(dims[a].saturating_sub(2)));
         for o in 0..8 {
             let q: [usize; 3] = std::array::from_fn(|a| (c[a] + (o >> a & 1)).min(dims[a] - 1));
-            let at = q[0] + nx * (q[1] + ny * q[2]);
             let d = distance2(q, step, *p);
-            if d < dist[at] {
-                (dist[at], best[at]) = (d, n as u32);
+            if d < dist[at(q)] {
+                (dist[at(q)], best[at(q)]) = (d, n as u32);
             }
         }
     }
-    // The 13 neighbours that precede a node in raster order.
-    let before: Vec<[i32; 3]> = (0..13).map(|n| [n % 3 - 1, n / 3 % 3 - 1, n / 9 - 1]).collect();
-    for pass in 0..2 {
-        let forward = pass % 2 == 0;
-        for raw in 0..best.len() {
-            let n = if forward { raw } else { best.len() - 1 - raw };
-            let c = [n % nx, n / nx % ny, n / (nx * ny)];
-            let (mut d, mut b) = (dist[n], best[n]);
-            for o in &before {
-                let o = if forward { *o } else { o.map(|v| -v) };
-                let q: [i32; 3] = std::array::from_fn(|a| c[a] as i32 + o[a]);
-                if (0..3).any(|a| q[a] < 0 || q[a] >= dims[a] as i32) {
-                    continue;
+    // Steps back to the 13 neighbours that precede a node in raster order.
+    let before: [usize; 13] = std::array::from_fn(|n| {
+        let o = [n % 3, n / 3 % 3, n / 9].map(|v| 1 - v as isize);
+        (o[0] + px as isize * (o[1] + py as isize * o[2])) as usize
+    });
+    let mut hand_on = |c: [usize; 3], forward: bool| {
+        let n = at(c);
+        let (mut d, mut b) = (dist[n], best[n]);
+        for &o in &before {
+            let p = best[if forward { n - o } else { n + o }];
+            if p != NONE && p != b {
+                let e = distance2(c, step, points[p as usize]);
+                if e < d {
+                    (d, b) = (e, p);
                 }
-                let p = best[q[0] as usize + nx * (q[1] as usize + ny * q[2] as usize)];
-                if p != NONE && p != b {
-                    let e = distance2(c, step, points[p as usize]);
-                    if e < d {
-                        (d, b) = (e, p);
+            }
+        }
+        (dist[n], best[n]) = (d, b);
+    };
+    for k in 0..nz {
+        for j in 0..ny {
+            (0..nx).for_each(|i| hand_on([i, j, k], true));
+        }
+    }
+    for k in (0..nz).rev() {
+        for j in (0..ny).rev() {
+            (0..nx).rev().for_each(|i| hand_on([i, j, k], false));
+        }
+    }
+    let rows = (0..nz).flat_map(|k| (0..ny).map(move |j| [0, j, k]));
+    rows.flat_map(|c| best[at(c)..at(c) + nx].iter().copied())
+        .collect()
+}
+
+/// As [`redistance`], for `values` that were a distance before samples in `changed` took the other side: distances are
+/// found anew around those alone, and taken where they are certain. Elsewhere nothing changes by less than about
+/// [`AROUND`] samples of distance.
+pub(crate) fn redistance_near(values: &mut [f32], grid: &Grid, changed: impl Iterator<Item = u32>) {
+    let boxes = boxes_around(grid.dims, changed);
+    let samples: usize = boxes
+        .iter()
+        .map(|(lo, hi)| (0..3).map(|a| hi[a] - lo[a]).product::<usize>())
+        .sum();
+    if 3 * samples > values.len() {
+        return redistance(values, grid);
+    }
+    let [nx, ny, _] = grid.dims;
+    let parts: Vec<Option<Vec<f32>>> = boxes
+        .par_iter()
+        .map(|&(lo, hi)| {
+            let part_grid = Grid {
+                dims: std::array::from_fn(|a| hi[a] - lo[a]),
+                origin_mm: grid.position(lo),
+                spacing_mm: grid.spacing_mm,
+            };
+            let mut part = Vec::with_capacity(part_grid.len());
+            for k in lo[2]..hi[2] {
+                for j in lo[1]..hi[1] {
+                    let row = nx * (j + ny * k);
+                    part.extend_from_slice(&values[row + lo[0]..row + hi[0]]);
+                }
+            }
+            if boundary_samples(&part, part_grid.dims).is_empty() {
+                return None;
+            }
+            redistance(&mut part, &part_grid);
+            Some(part)
+        })
+        .collect();
+    if parts.iter().any(Option::is_none) {
+        // A part went whose surroundings hold no surface.
+        return redistance(values, grid);
+    }
+    for ((lo, hi), part) in boxes.iter().zip(parts.into_iter().flatten()) {
+        // Steps to where the box ends within the grid: what lies nearer than that is known.
+        let room = |a: usize, v: usize| {
+            let below = if lo[a] == 0 { usize::MAX } else { v - lo[a] };
+            let above = if hi[a] == grid.dims[a] {
+                usize::MAX
+            } else {
+                hi[a] - 1 - v
+            };
+            below.min(above)
+        };
+        let mut from = part.iter();
+        for k in lo[2]..hi[2] {
+            for j in lo[1]..hi[1] {
+                let row = nx * (j + ny * k);
+                let beside = room(1, j).min(room(2, k));
+                for (i, d) in (lo[0]..hi[0]).zip(&mut from) {
+                    if f64::from(d.abs()) < beside.min(room(0, i)) as f64 * grid.spacing_mm {
+                        values[row + i] = *d;
                     }
                 }
             }
-            (dist[n], best[n]) = (d, b);
         }
     }
-    best
+}
+
+type Box3 = ([usize; 3], [usize; 3]);
+
+/// Boxes (lowest, exclusive highest) that hold the samples with [`AROUND`] samples on every side, one for each group
+/// of neighbouring blocks.
+fn boxes_around(dims: [usize; 3], samples: impl Iterator<Item = u32>) -> Vec<Box3> {
+    let blocks = dims.map(|d| d.div_ceil(TOGETHER));
+    let mut held: Vec<Option<Box3>> = vec![None; blocks.iter().product()];
+    let mut order = Vec::new();
+    for n in samples {
+        let n = n as usize;
+        let c = [n % dims[0], n / dims[0] % dims[1], n / (dims[0] * dims[1])];
+        let b = c.map(|v| v / TOGETHER);
+        let at = b[0] + blocks[0] * (b[1] + blocks[1] * b[2]);
+        let (lo, hi) = held[at].get_or_insert_with(|| {
+            order.push(b);
+            (c, c)
+        });
+        for a in 0..3 {
+            lo[a] = lo[a].min(c[a]);
+            hi[a] = hi[a].max(c[a]);
+        }
+    }
+    let mut out = Vec::new();
+    for start in order {
+        let mut stack = vec![start];
+        let mut whole: Option<Box3> = None;
+        while let Some(b) = stack.pop() {
+            let Some((lo, hi)) = held[b[0] + blocks[0] * (b[1] + blocks[1] * b[2])].take() else {
+                continue;
+            };
+            let w = whole.get_or_insert((lo, hi));
+            for a in 0..3 {
+                w.0[a] = w.0[a].min(lo[a]);
+                w.1[a] = w.1[a].max(hi[a]);
+            }
+            for o in 0..27usize {
+                let q: [usize; 3] =
+                    std::array::from_fn(|a| (b[a] + [o % 3, o / 3 % 3, o / 9][a]).wrapping_sub(1));
+                if (0..3).all(|a| q[a] < blocks[a]) {
+                    stack.push(q);
+                }
+            }
+        }
+        if let Some((lo, hi)) = whole {
+            out.push((
+                lo.map(|v| v.saturating_sub(AROUND)),
+                std::array::from_fn(|a| (hi[a] + 1 + AROUND).min(dims[a])),
+            ));
+        }
+    }
+    out
 }
 
 #[cfg(test)]
@@ -397,5 +536,65 @@ mod tests {
                 .sqrt();
             assert!((g - 1.0).abs() < 0.1, "|gradient| {g} at distance {}", truth[n]);
         }
+    }
+
+    #[test]
+    fn distances_around_a_change_are_those_found_anew() {
+        let h = 0.8;
+        let grid = grid_of(90, h);
+        // A ball with a drilled tunnel, and the tunnel's mouth closed by a membrane.
+        let drilled = |p: [f64; 3]| {
+            let r = (0..3).map(|a| (p[a] - 36.0).powi(2)).sum::<f64>().sqrt() - 24.0;
+            r.max(2.0 - (p[0] - 36.0).hypot(p[1] - 36.0))
+        };
+        let sample = |f: &dyn Fn([f64; 3]) -> f64| -> Vec<f32> {
+            (0..grid.len())
+                .map(|n| f(grid.position(grid.ijk(n))) as f32)
+                .collect()
+        };
+        let mut before = sample(&drilled);
+        redistance(&mut before, &grid);
+        let membrane = |p: [f64; 3]| ((p[2] - 54.0).abs() - 1.0).max((p[0] - 36.0).hypot(p[1] - 36.0) - 3.0);
+        let mut near: Vec<f32> = before
+            .iter()
+            .zip(sample(&membrane))
+            .map(|(a, b)| if b < 1.2 { a.min(b) } else { *a })
+            .collect();
+        let mut anew = near.clone();
+        let changed: Vec<u32> = (0..grid.len() as u32)
+            .filter(|&n| (near[n as usize] < 0.0) != (before[n as usize] < 0.0))
+            .collect();
+        assert!(changed.len() > 20);
+        redistance_near(&mut near, &grid, changed.iter().copied());
+        redistance(&mut anew, &grid);
+        // The judge: the nearest point at which the zero set crosses the grid.
+        let [nx, ny, nz] = grid.dims;
+        let mut crossings = Vec::new();
+        for n in 0..grid.len() {
+            let c = grid.ijk(n);
+            for (a, (stride, size)) in [(1, nx), (nx, ny), (nx * ny, nz)].into_iter().enumerate() {
+                if c[a] + 1 < size && (anew[n] < 0.0) != (anew[n + stride] < 0.0) {
+                    let mut p = grid.position(c);
+                    p[a] += h * f64::from(anew[n] / (anew[n] - anew[n + stride]));
+                    crossings.push(p);
+                }
+            }
+        }
+        let (mut near2, mut anew2, mut moved) = (0.0, 0.0, 0);
+        for n in (0..grid.len()).filter(|n| near[*n] != before[*n]) {
+            assert_eq!(near[n] < 0.0, anew[n] < 0.0);
+            moved += 1;
+            if n % 5 == 0 {
+                let p = grid.position(grid.ijk(n));
+                let d2 = crossings
+                    .iter()
+                    .map(|q| (0..3).map(|a| (p[a] - q[a]).powi(2)).sum::<f64>())
+                    .fold(f64::INFINITY, f64::min);
+                near2 += (f64::from(near[n].abs()) - d2.sqrt()).powi(2);
+                anew2 += (f64::from(anew[n].abs()) - d2.sqrt()).powi(2);
+            }
+        }
+        assert!(near2 < 1.1 * anew2, "{near2} for {anew2}");
+        assert!(moved > 1000 && moved < grid.len() / 5, "{moved} samples");
     }
 }

@@ -147,7 +147,14 @@ pub(crate) fn repair_signs(
         });
     }
     let edits = if wanted.handle_mm > 0.0 {
-        simplify(&mut inside, dims, values, 0.5 * wanted.handle_mm as f32, may_fill)
+        simplify(
+            &mut inside,
+            dims,
+            [grid.spacing_mm; 3],
+            values,
+            0.5 * wanted.handle_mm as f32,
+            may_fill,
+        )
     } else {
         Vec::new()
     };
@@ -336,7 +343,14 @@ pub(crate) fn repair_voxels(
     let edits = if wanted.handle_mm > 0.0 && start.handles() > 0 {
         let depth = depth_at_voxels(field, mask, dims, 0.5 * wanted.handle_mm);
         let allowed = |n: usize| to_inner(n).is_some_and(may_fill);
-        simplify(&mut inside, dims, &depth, 0.5 * wanted.handle_mm as f32, &allowed)
+        simplify(
+            &mut inside,
+            dims,
+            mask.affine.spacing_mm(),
+            &depth,
+            0.5 * wanted.handle_mm as f32,
+            &allowed,
+        )
     } else {
         Vec::new()
     };

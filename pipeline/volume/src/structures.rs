@@ -2,7 +2,7 @@
 
 use crate::body::crop_mask;
 use crate::crop::{CROP_MARGIN, Crop, minimum_volume};
-use crate::distance::redistance;
+use crate::distance::redistance_near;
 use crate::divider::{dividers, extend_materials, indicators};
 use crate::enclosed::{Cells, enclosed_volume, solve_shift};
 use crate::field_repair::{Wanted, follow_flips, repair_signs, repair_voxels};
@@ -185,23 +185,22 @@ fn settle(
                 divider.values[m] = v;
             }
         }
-        redistance(&mut divider.values, &grid);
+        redistance_near(
+            &mut divider.values,
+            &grid,
+            repaired.flips.iter().map(|f| whole(f.0 as usize) as u32),
+        );
         follow_flips(&mut mask, &part_grid, &to_index, &repaired.flips);
     }
     report.strays.count += repaired.dropped.0;
     report.strays.volume_mm3 += repaired.dropped.1;
+    let [nx, ny, _] = mask.dims;
+    let affine = mask.affine;
     let inside_organ = |v: usize| {
-        let [nx, ny, _] = mask.dims;
-        let p = [v % nx, v / nx % ny, v / (nx * ny)].map(|c| c as f64);
-        let p = mask.affine.apply(p);
+        let p = affine.apply([v % nx, v / nx % ny, v / (nx * ny)].map(|c| c as f64));
         organ.field.value(p) < 0.0 && others.iter().all(|o| o.value(p) >= 0.0)
     };
-    let allowed: Vec<u8> = if start.handles() > 0 || start.voids > 0 {
-        (0..mask.data.len()).map(|v| u8::from(inside_organ(v))).collect()
-    } else {
-        vec![1; mask.data.len()]
-    };
-    (report.voxel_topology, _) = repair_voxels(&mut mask, Some(start), &part, &wanted, &|v| allowed[v] == 1);
+    (report.voxel_topology, _) = repair_voxels(&mut mask, Some(start), &part, &wanted, &inside_organ);
     report.field_topology = repaired.report;
     report.components = repaired.components;
     report.level_shift_mm = settle_volume(&mut divider.values, &grid, &organ.field.values, mask.volume_mm3());

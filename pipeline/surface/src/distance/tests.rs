@@ -1,5 +1,5 @@
 use super::*;
-use crate::sample_meshes::{sphere, torus};
+use crate::sample_meshes::{Random, sphere, torus};
 use palpate_fixtures::shapes;
 
 #[test]
@@ -85,10 +85,36 @@ fn exempt_points_are_stated_apart() {
         d.a_to_b.exempt.max_mm > 1.9 && d.a_to_b.measured.max_mm < 1.7,
         "{d:?}"
     );
-    assert_eq!(
-        d.exempt.samples + d.symmetric.samples,
-        2 * (5000 + a.vertices.len())
-    );
+    let samples = d.exempt.samples + d.symmetric.samples;
+    assert!((10_000..=10_000 + 2 * a.vertices.len()).contains(&samples));
+}
+
+#[test]
+fn the_farthest_vertices_are_found() {
+    // A ball with noise and one spike, so that few vertices lie far.
+    let mut a = sphere([0.0; 3], 10.0, 60);
+    let mut random = Random(5);
+    for p in &mut a.vertices {
+        let s = 1.0 + 0.05 * (random.unit() - 0.5);
+        *p = p.map(|v| v * s);
+    }
+    a.vertices[1000] = a.vertices[1000].map(|v| 1.3 * v);
+    let b = sphere([0.0, 2.0, 0.0], 10.0, 40);
+    let tree = TriangleBvh::build(&b).unwrap();
+    let upper = |p: [f64; 3]| p[2] > 2.0;
+    let found = one_way_distance(&a, &tree, 500, &upper).unwrap();
+    let samples = sample_surface(&a, 500).unwrap();
+    for (side, stats) in [(false, found.measured), (true, found.exempt)] {
+        let all = samples.iter().chain(&a.vertices).filter(|p| upper(**p) == side);
+        let most = all
+            .filter_map(|p| tree.closest(*p))
+            .map(|c| c.distance2_mm2.sqrt())
+            .fold(0.0, f64::max);
+        assert!((stats.max_mm - most).abs() < 1e-12, "{} {most}", stats.max_mm);
+    }
+    let measured = found.measured.samples + found.exempt.samples;
+    let most = 500 + a.vertices.len() * 3 / 4;
+    assert!(measured < most, "{measured} of {}", a.vertices.len());
 }
 
 #[test]

@@ -94,8 +94,15 @@ impl Anchors {
         }
     }
 
-    /// Whether `h` may be flipped or split.
-    pub fn may_change(&self, mesh: &HalfEdges, h: u32) -> bool {
+    /// What holds `v` now: a vertex that has lost its place on a rim is free.
+    fn now(&self, mesh: &HalfEdges, v: u32) -> Anchor {
+        let anchor = self.of.get(v as usize).copied().unwrap_or(Anchor::Free);
+        let lost = matches!(anchor, Anchor::Rim(_)) && !mesh.fan(v).any(|h| self.is_rim_edge(mesh, h));
+        if lost { Anchor::Free } else { anchor }
+    }
+
+    /// Whether `h` may be flipped.
+    pub fn may_flip(&self, mesh: &HalfEdges, h: u32) -> bool {
         self.of.is_empty() || !self.is_rim_edge(mesh, h)
     }
 
@@ -106,19 +113,15 @@ impl Anchors {
             return true;
         }
         let (a, b) = (mesh.from(h), mesh.to(h));
-        match (self.is_rim(a), self.is_rim(b)) {
-            (false, false) => self.cap_of(a) == self.cap_of(b),
-            (true, false) => p == mesh.at(a),
-            (false, true) => p == mesh.at(b),
-            (true, true) => {
-                let in_plane = |c: u8| {
-                    let cap = &self.caps[c as usize];
-                    dot(sub(p, cap.point_mm), cap.normal).abs() < 1e-6
-                };
-                self.cap_of(a) == self.cap_of(b)
-                    && self.is_rim_edge(mesh, h)
-                    && self.cap_of(a).is_some_and(in_plane)
+        match (self.now(mesh, a), self.now(mesh, b)) {
+            (Anchor::Rim(c), Anchor::Rim(d)) => {
+                let cap = &self.caps[c as usize];
+                let in_plane = dot(sub(p, cap.point_mm), cap.normal).abs() < 1e-6;
+                c == d && self.is_rim_edge(mesh, h) && in_plane
             }
+            (Anchor::Rim(_), _) => p == mesh.at(a),
+            (_, Anchor::Rim(_)) => p == mesh.at(b),
+            (a, b) => a == b,
         }
     }
 
@@ -147,11 +150,23 @@ impl Anchors {
         }
         let along = sub(ends[1], ends[0]);
         let l2 = norm2(along);
+        if n == 0 {
+            return p;
+        }
         if n != 2 || l2 <= 0.0 {
             return mesh.at(v);
         }
         let at = mesh.at(v);
         flat(add_scaled(at, dot(sub(p, at), along) / l2, along))
+    }
+
+    /// Where `h` may be split, near `p`: a rim in its own middle, so that the cap stays flat.
+    pub fn split_at(&self, mesh: &HalfEdges, h: u32, p: V3) -> V3 {
+        if !self.of.is_empty() && self.is_rim_edge(mesh, h) {
+            midpoint(mesh.at(mesh.from(h)), mesh.at(mesh.to(h)))
+        } else {
+            p
+        }
     }
 
     /// Takes in the vertex that splits `h`, before the split.
@@ -160,6 +175,7 @@ impl Anchors {
             return;
         }
         let anchor = match self.cap_of(mesh.from(h)) {
+            Some(c) if self.is_rim_edge(mesh, h) => Anchor::Rim(c),
             Some(c) if self.holds(mesh, c, h / 3) && self.holds(mesh, c, mesh.twin(h) / 3) => {
                 Anchor::Plane(c)
             }

@@ -205,6 +205,7 @@ impl<F: Implicit + ?Sized> Improver<'_, F> {
     /// Splits `h` at `p` unless a half would turn against its triangle, or triangles cross. The new vertex is the
     /// last one.
     pub(super) fn split(&mut self, h: u32, p: V3) -> bool {
+        let p = self.anchors.split_at(&self.mesh, h, p);
         let m = &self.mesh;
         let t = m.twin(h);
         let (a, b, c, d) = (m.from(h), m.to(h), m.apex(h), m.apex(t));
@@ -220,7 +221,7 @@ impl<F: Implicit + ?Sized> Improver<'_, F> {
             let (x, y) = (area_normal(q[0], q[1], q[2]), m.face_area_normal(g / 3));
             dot(x, y) < 0.5 * (norm2(x) * norm2(y)).sqrt()
         });
-        if turned || !self.anchors.may_change(m, h) || self.guard.crosses(&[h / 3, t / 3], &new) {
+        if turned || self.guard.crosses(&[h / 3, t / 3], &new) {
             return false;
         }
         let first = (self.mesh.org.len() / 3) as u32;

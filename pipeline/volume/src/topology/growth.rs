@@ -4,22 +4,48 @@ use super::neighbours::{Adjacency, parts};
 use crate::components::Runs;
 
 /// Samples that may join and have not.
-const FREE: u8 = 0;
+pub(crate) const FREE: u8 = 0;
 /// Free and waiting in the queue.
 const QUEUED: u8 = 254;
 /// Samples that may not join.
 pub(crate) const BLOCKED: u8 = 255;
 /// Components of the core that are told apart; more are treated as free.
 const MOST: usize = 250;
-/// Priority levels.
-const LEVELS: usize = 512;
+/// Priority levels: few, so that samples of one level are visited from neighbour to neighbour (memory) and not by tiny
+/// differences of depth.
+const LEVELS: usize = 20;
 
-/// Offsets of the 26 neighbours (the centre is skipped), in the bit order of the neighbourhood.
-fn offsets(dims: [usize; 3]) -> [isize; 27] {
-    std::array::from_fn(|n| {
-        let c = [n % 3, n / 3 % 3, n / 9].map(|v| v as isize - 1);
-        c[0] + dims[0] as isize * (c[1] + dims[1] as isize * c[2])
-    })
+/// Steps from a sample to the nine rows of three around it, in the bit order of the neighbourhood.
+struct Hood([isize; 9]);
+
+impl Hood {
+    fn new(dims: [usize; 3]) -> Self {
+        let [nx, ny] = [dims[0] as isize, dims[1] as isize];
+        Self(std::array::from_fn(|r| {
+            (r % 3) as isize * nx - nx + ((r / 3) as isize - 1) * nx * ny - 1
+        }))
+    }
+
+    #[inline]
+    fn states(&self, state: &[u8], n: usize) -> [u8; 27] {
+        let mut out = [0; 27];
+        for (to, o) in out.chunks_exact_mut(3).zip(self.0) {
+            let at = (n as isize + o) as usize;
+            to.copy_from_slice(&state[at..at + 3]);
+        }
+        out
+    }
+
+    #[inline]
+    fn neighbour(&self, n: usize, bit: u32) -> usize {
+        (n as isize + self.0[bit as usize / 3]) as usize + bit as usize % 3
+    }
+}
+
+/// Bits of the states that pass.
+#[inline]
+fn bits(states: &[u8; 27], pass: impl Fn(u8) -> bool) -> u32 {
+    (0..27).fold(0, |set, bit| set | u32::from(pass(states[bit])) << bit)
 }
 
 fn root(parent: &[u8; 256], mut x: u8) -> u8 {
@@ -43,15 +69,14 @@ pub(crate) fn grow(
     priority: impl Fn(usize) -> f32,
 ) -> Vec<u32> {
     label_core(state, dims, adjacency);
-    let around = offsets(dims);
+    let hood = Hood::new(dims);
     let mut parent: [u8; 256] = std::array::from_fn(|n| n as u8);
     let level = |n: usize| ((priority(n) * LEVELS as f32) as usize).min(LEVELS - 1);
-    let mut queue: Vec<Vec<u32>> = vec![Vec::new(); LEVELS];
-    let member = |s: u8| s != FREE && s != QUEUED && s != BLOCKED;
-    let at = |n: usize, o: isize| (n as isize + o) as usize;
+    let mut queue: [Vec<u32>; LEVELS] = std::array::from_fn(|_| Vec::new());
+    let member = |s: u8| s != FREE && s < QUEUED;
     for &n in free {
         let n = n as usize;
-        if state[n] == FREE && around.iter().any(|&o| member(state[at(n, o)])) {
+        if state[n] == FREE && bits(&hood.states(state, n), member) != 0 {
             state[n] = QUEUED;
             queue[level(n)].push(n as u32);
         }
@@ -63,12 +88,9 @@ pub(crate) fn grow(
             continue;
         };
         let n = n as usize;
-        let mut set = 0u32;
-        for (bit, &o) in around.iter().enumerate() {
-            set |= u32::from(member(state[at(n, o)])) << bit;
-        }
-        let (count, of) = parts(set, adjacency);
-        let ids = of.map(|b| root(&parent, state[at(n, around[b as usize])]));
+        let states = hood.states(state, n);
+        let (count, of) = parts(bits(&states, member), adjacency);
+        let ids = of.map(|b| root(&parent, states[b as usize]));
         let apart = count <= 8 && (1..count).all(|p| !ids[..p].contains(&ids[p]));
         if count == 0 || !apart {
             state[n] = FREE;
@@ -78,14 +100,14 @@ pub(crate) fn grow(
             parent[ids[p] as usize] = ids[0];
         }
         state[n] = ids[0];
-        for &o in &around {
-            let m = at(n, o);
-            if state[m] == FREE {
-                state[m] = QUEUED;
-                let l = level(m);
-                queue[l].push(m as u32);
-                current = current.min(l);
-            }
+        let mut waiting = bits(&states, |s| s == FREE);
+        while waiting != 0 {
+            let m = hood.neighbour(n, waiting.trailing_zeros());
+            waiting &= waiting - 1;
+            state[m] = QUEUED;
+            let l = level(m);
+            queue[l].push(m as u32);
+            current = current.min(l);
         }
     }
     free.iter()

@@ -7,11 +7,13 @@
 
 mod growth;
 mod neighbours;
+mod zone;
 
 use crate::components::Runs;
-use growth::{BLOCKED, grow};
+use growth::{BLOCKED, FREE, grow};
 use neighbours::{Adjacency, CELL_EULER};
 use rayon::prelude::*;
+use zone::Zone;
 
 /// Rounds of candidates and edits; one or two do on organs.
 const ROUNDS: usize = 8;
@@ -105,11 +107,12 @@ pub(crate) struct Edit {
 
 /// Removes handles and tunnels narrower than `2·reach` from `inside` (0/1, 0 in the outermost layer).
 ///
-/// `depth` is the signed distance to the surface, negative inside. `may_fill` limits where tunnels can be filled.
-/// Returns what was changed.
+/// `depth` is the signed distance to the surface, negative inside, in the unit of `reach` and `spacing`, the distance
+/// of samples along each axis. `may_fill` limits where tunnels can be filled. Returns what was changed.
 pub(crate) fn simplify(
     inside: &mut [u8],
     dims: [usize; 3],
+    spacing: [f64; 3],
     depth: &[f32],
     reach: f32,
     may_fill: &(dyn Fn(usize) -> bool + Sync),
@@ -123,6 +126,7 @@ pub(crate) fn simplify(
             now = simplify_within(
                 inside,
                 dims,
+                spacing,
                 depth,
                 share * reach,
                 rounds,
@@ -141,6 +145,7 @@ pub(crate) fn simplify(
 fn simplify_within(
     inside: &mut [u8],
     dims: [usize; 3],
+    spacing: [f64; 3],
     depth: &[f32],
     reach: f32,
     rounds: usize,
@@ -149,17 +154,16 @@ fn simplify_within(
     done: &mut Vec<Edit>,
 ) -> Shape {
     let mut before = start;
+    let mut zone = Zone::Everywhere;
+    let margin = spacing.map(|s| (2.0 * f64::from(reach) / s).ceil() as usize + 1);
     for _ in 0..rounds {
         if before.handles() <= 0 {
             break;
         }
         let (cuts, fills) = rayon::join(
-            || candidates(inside, dims, depth, reach, false, may_fill),
-            || candidates(inside, dims, depth, reach, true, may_fill),
+            || candidates(inside, dims, depth, reach, false, may_fill, &zone),
+            || candidates(inside, dims, depth, reach, true, may_fill, &zone),
         );
-        if cuts.is_empty() && fills.is_empty() {
-            break;
-        }
         let mut edits: Vec<Edit> = cuts.into_iter().chain(fills).collect();
         edits.sort_by_key(|e| (e.samples.len(), e.fill, e.samples[0]));
         let mut handles = before.handles();
@@ -183,8 +187,14 @@ fn simplify_within(
             }
         }
         if applied == 0 && (rounds < ROUNDS || !take_all(inside, dims, &waiting, before, done)) {
-            break;
+            if matches!(zone, Zone::Everywhere) {
+                break;
+            }
+            zone = Zone::Everywhere;
+            continue;
         }
+        // Without all the sheets no narrow handle would be left: those that are left run through the others.
+        zone = Zone::around(&waiting, dims, margin);
         before = shape(inside, dims);
     }
     before
@@ -273,6 +283,7 @@ fn candidates(
     reach: f32,
     fill: bool,
     may_fill: &(dyn Fn(usize) -> bool + Sync),
+    zone: &Zone,
 ) -> Vec<Edit> {
     let [nx, ny, nz] = dims;
     let own = u8::from(!fill);
@@ -289,15 +300,15 @@ fn candidates(
             for j in 1..ny - 1 {
                 let at = nx * (j + ny * k);
                 let row = &mut slab[nx * j..][..nx];
-                for i in 1..nx - 1 {
+                for (to, &v) in row[1..nx - 1].iter_mut().zip(&inside[at + 1..]) {
+                    *to = if v == own { 1 } else { BLOCKED };
+                }
+                for i in zone.spans(nx, j, k).flatten().filter(|i| (1..nx - 1).contains(i)) {
                     let n = at + i;
-                    if inside[n] == own {
-                        // A voxel whose centre the smooth surface leaves on the other side is no core.
-                        let core = side * depth[n] >= reach || (fill && !may_fill(n));
-                        row[i] = u8::from(core);
-                        if !core {
-                            free.push(n as u32);
-                        }
+                    // A voxel whose centre the smooth surface leaves on the other side is no core.
+                    if inside[n] == own && side * depth[n] < reach && (!fill || may_fill(n)) {
+                        row[i] = FREE;
+                        free.push(n as u32);
                     }
                 }
             }

@@ -24,7 +24,7 @@ fn torus(p: [f64; 3], major: f64, minor: f64) -> f64 {
 }
 
 fn run(inside: &mut [u8], depth: &[f32], reach: f32) -> Vec<Edit> {
-    simplify(inside, DIMS, depth, reach, &|_| true)
+    simplify(inside, DIMS, [1.0; 3], depth, reach, &|_| true)
 }
 
 #[test]
@@ -110,9 +110,9 @@ fn tunnels_are_filled_and_handles_cut_with_few_samples() {
     }
 }
 
-#[test]
-fn noise_becomes_one_body_without_handles() {
-    let mut state = 3u64;
+/// A ball with noise: one body with many handles and tunnels, and its depth.
+fn noisy_ball(seed: u64, radius: f64, noise: f64) -> (Vec<u8>, Vec<f32>) {
+    let mut state = seed;
     let mut random = || {
         state = state
             .wrapping_mul(6364136223846793005)
@@ -120,24 +120,34 @@ fn noise_becomes_one_body_without_handles() {
         (state >> 33) as f64 / f64::from(1u32 << 31)
     };
     let rough: Vec<f64> = (0..DIMS.iter().product())
-        .map(|_| 3.0 * (random() - 0.5))
+        .map(|_| 2.0 * noise * (random() - 0.5))
         .collect();
     let d: Vec<f32> = (0..DIMS.iter().product())
         .map(|n: usize| {
             let p = [n % DIMS[0], n / DIMS[0] % DIMS[1], n / (DIMS[0] * DIMS[1])].map(|v| v as f64);
-            (ball(p, C, 13.0) + rough[n]) as f32
+            (ball(p, C, radius) + rough[n]) as f32
         })
         .collect();
     let mut b: Vec<u8> = d.iter().map(|v| u8::from(*v < 0.0)).collect();
     crate::repair::drop_small(&mut b, DIMS, 1.0, f64::INFINITY);
     crate::repair::fill_voids(&mut b, DIMS, 1.0, f64::INFINITY);
-    let before = shape(&b, DIMS);
-    assert!(before.handles() > 30, "{before:?}");
-    let d: Vec<f32> = b
+    let d = b
         .iter()
         .zip(&d)
         .map(|(i, d)| if (*i == 1) == (*d < 0.0) { *d } else { -d })
         .collect();
+    (b, d)
+}
+
+fn changed(edits: &[Edit]) -> usize {
+    edits.iter().map(|e| e.samples.len()).sum()
+}
+
+#[test]
+fn noise_becomes_one_body_without_handles() {
+    let (mut b, d) = noisy_ball(3, 13.0, 1.5);
+    let before = shape(&b, DIMS);
+    assert!(before.handles() > 30, "{before:?}");
     let edits = run(&mut b, &d, 4.0);
     assert_eq!(
         shape(&b, DIMS),
@@ -147,10 +157,36 @@ fn noise_becomes_one_body_without_handles() {
             euler: 2
         }
     );
-    let changed: usize = edits.iter().map(|e| e.samples.len()).sum();
     assert!(
-        changed as i64 <= 4 * before.handles(),
-        "{changed} samples for {} handles",
+        changed(&edits) as i64 <= 4 * before.handles(),
+        "{} samples for {} handles",
+        changed(&edits),
         before.handles()
+    );
+}
+
+#[test]
+fn later_rounds_find_near_the_left_sheets_what_they_find_everywhere() {
+    let (mut near, mut everywhere) = (0, 0);
+    for seed in 1..=12 {
+        for (noise, reach) in [(1.5, 1.5), (2.5, 2.5), (4.0, 2.0)] {
+            let (b, d) = noisy_ball(seed, 17.0, noise);
+            let mut a = b.clone();
+            near += changed(&run(&mut a, &d, reach));
+            // With samples as dense as that every zone holds everything.
+            let mut judge = b.clone();
+            everywhere += changed(&simplify(&mut judge, DIMS, [1e-3; 3], &d, reach, &|_| true));
+            assert_eq!(
+                shape(&a, DIMS),
+                shape(&judge, DIMS),
+                "seed {seed}, noise {noise}, before {:?}",
+                shape(&b, DIMS)
+            );
+        }
+    }
+    assert!(everywhere > 1000, "{everywhere}");
+    assert!(
+        near * 100 <= everywhere * 101,
+        "{near} samples, {everywhere} everywhere"
     );
 }
