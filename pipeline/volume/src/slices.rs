@@ -39,6 +39,31 @@ struct Slice {
     ends: [Vec<f32>; 2],
 }
 
+/// Straight piece of a slice's contour.
+struct Piece {
+    /// Lowest pixel of the square that holds it.
+    square: u32,
+    /// Ends, mm in the plane.
+    a: [f32; 2],
+    b: [f32; 2],
+}
+
+impl Piece {
+    fn distance2(&self, p: [f32; 2]) -> f32 {
+        let (u, v) = (
+            [self.b[0] - self.a[0], self.b[1] - self.a[1]],
+            [p[0] - self.a[0], p[1] - self.a[1]],
+        );
+        let uu = u[0] * u[0] + u[1] * u[1];
+        let t = if uu > 0.0 {
+            ((u[0] * v[0] + u[1] * v[1]) / uu).clamp(0.0, 1.0)
+        } else {
+            0.0
+        };
+        (v[0] - t * u[0]).powi(2) + (v[1] - t * u[1]).powi(2)
+    }
+}
+
 /// In-plane layout.
 struct Plane {
     axes: [usize; 2],
@@ -167,16 +192,58 @@ impl Plane {
         out
     }
 
-    fn length2(&self, x: f32, y: f32) -> f32 {
-        (x * self.e[0] + y * self.e[1]).powi(2) + (y * self.e[2]).powi(2)
-    }
-
     /// Signed distance of a slice, empty for an empty one.
     fn distance(&self, picture: &[u8], smoothing_voxels: f64) -> Vec<f32> {
         if picture.iter().all(|&v| v == 0) {
             return Vec::new();
         }
         let [w, h] = self.size;
+        let value = self.offsets(picture, smoothing_voxels);
+        let pieces = self.contour(&value);
+        // Nearest piece of each pixel: the corners of its square take it, raster passes hand it on.
+        let mut nearest = vec![(f32::MAX, u32::MAX); w * h];
+        for (n, piece) in pieces.iter().enumerate() {
+            for at in [0, 1, w, w + 1] {
+                let at = piece.square as usize + at;
+                let d = piece.distance2(self.mm((at % w) as f32, (at / w) as f32));
+                if d < nearest[at].0 {
+                    nearest[at] = (d, n as u32);
+                }
+            }
+        }
+        for forward in [true, false, true] {
+            for raw in 0..w * h {
+                let n = if forward { raw } else { w * h - 1 - raw };
+                let (x, y) = (n % w, n / w);
+                let mut best = nearest[n];
+                for (dx, dy) in [(-1i64, 0i64), (-1, -1), (0, -1), (1, -1)] {
+                    let s = if forward { 1 } else { -1 };
+                    let (qx, qy) = (x as i64 + s * dx, y as i64 + s * dy);
+                    if qx >= 0 && qy >= 0 && qx < w as i64 && qy < h as i64 {
+                        let p = nearest[qx as usize + w * qy as usize].1;
+                        if p != u32::MAX && p != best.1 {
+                            let d = pieces[p as usize].distance2(self.mm(x as f32, y as f32));
+                            if d < best.0 {
+                                best = (d, p);
+                            }
+                        }
+                    }
+                }
+                nearest[n] = best;
+            }
+        }
+        value
+            .iter()
+            .zip(&nearest)
+            .map(|(v, near)| {
+                let d = if near.1 == u32::MAX { 1e3 } else { near.0.sqrt() };
+                if *v < 0.0 { -d } else { d }
+            })
+            .collect()
+    }
+
+    /// Anti-aliased picture as a signed offset (mm) from its contour, right near it.
+    fn offsets(&self, picture: &[u8], smoothing_voxels: f64) -> Vec<f32> {
         let mut value = self.blurred(picture, smoothing_voxels);
         let mean = 0.5 * (self.spacing[0] + self.spacing[1]);
         let edge = EdgeOffset::new(
@@ -190,70 +257,62 @@ impl Plane {
             let d = edge.of(*v);
             *v = if *p != 0 { d.min(-least) } else { d.max(least) };
         });
-        // Nearest contour point of each pixel (pixel coordinates), propagated by raster passes.
-        let mut nearest = vec![[f32::NAN; 2]; w * h];
-        for y in 0..h {
-            for x in 0..w {
-                let v = value[x + w * y];
-                let at = |x: usize, y: usize| value[x.min(w - 1) + w * y.min(h - 1)];
-                let around = [
-                    at(x.saturating_sub(1), y),
-                    at(x + 1, y),
-                    at(x, y.saturating_sub(1)),
-                    at(x, y + 1),
-                ];
-                if around.iter().all(|a| (*a < 0.0) == (v < 0.0)) {
+        value
+    }
+
+    /// In-plane position (mm) of pixel coordinates.
+    fn mm(&self, x: f32, y: f32) -> [f32; 2] {
+        [x * self.e[0] + y * self.e[1], y * self.e[2]]
+    }
+
+    /// Zero contour of `value` in straight pieces, one or two in each square of pixel centres.
+    fn contour(&self, value: &[f32]) -> Vec<Piece> {
+        let [w, h] = self.size;
+        let mut out = Vec::new();
+        for y in 0..h.saturating_sub(1) {
+            for x in 0..w.saturating_sub(1) {
+                let square = x + w * y;
+                // Corners around the square.
+                let at = [square, square + 1, square + 1 + w, square + w];
+                let v = at.map(|n| value[n]);
+                let inside = v.map(|v| v < 0.0);
+                if inside == [inside[0]; 4] {
                     continue;
                 }
-                // Newton step in the in-plane metric: the gradient by pixel, made a step by the inverse metric.
-                let g = [0.5 * (around[1] - around[0]), 0.5 * (around[3] - around[2])];
-                let gx = g[0] / self.e[0];
-                let gy = (g[1] - gx * self.e[1]) / self.e[2].max(1e-6);
-                let g2 = (gx * gx + gy * gy).max(1e-6);
-                let (sx, sy) = (-v * gx / g2, -v * gy / g2);
-                let py = (sy / self.e[2].max(1e-6)).clamp(-1.0, 1.0);
-                let px = ((sx - py * self.e[1]) / self.e[0]).clamp(-1.0, 1.0);
-                nearest[x + w * y] = [x as f32 + px, y as f32 + py];
-            }
-        }
-        for pass in 0..4 {
-            let forward = pass % 2 == 0;
-            for raw in 0..w * h {
-                let n = if forward { raw } else { w * h - 1 - raw };
-                let (x, y) = (n % w, n / w);
-                let far = |p: [f32; 2]| {
-                    if p[0].is_nan() {
-                        f32::MAX
-                    } else {
-                        self.length2(x as f32 - p[0], y as f32 - p[1])
+                let mut points = [[0.0; 2]; 4];
+                let mut count = 0;
+                for c in 0..4 {
+                    let d = (c + 1) % 4;
+                    if inside[c] != inside[d] {
+                        let t = v[c] / (v[c] - v[d]);
+                        let (a, b) = (
+                            [(at[c] % w) as f32, (at[c] / w) as f32],
+                            [(at[d] % w) as f32, (at[d] / w) as f32],
+                        );
+                        points[count] = self.mm(a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1]));
+                        count += 1;
                     }
+                }
+                let mut push = |a: usize, b: usize| {
+                    out.push(Piece {
+                        square: square as u32,
+                        a: points[a],
+                        b: points[b],
+                    });
                 };
-                let mut best = far(nearest[n]);
-                for (dx, dy) in [(-1i64, 0i64), (-1, -1), (0, -1), (1, -1)] {
-                    let s = if forward { 1 } else { -1 };
-                    let (qx, qy) = (x as i64 + s * dx, y as i64 + s * dy);
-                    if qx >= 0 && qy >= 0 && qx < w as i64 && qy < h as i64 {
-                        let p = nearest[qx as usize + w * qy as usize];
-                        let d = far(p);
-                        if d < best {
-                            (best, nearest[n]) = (d, p);
-                        }
-                    }
+                if count == 2 {
+                    push(0, 1);
+                } else if (v.iter().sum::<f32>() < 0.0) == inside[0] {
+                    // The middle joins corners 0 and 2: the pieces cut off corners 1 and 3.
+                    push(0, 1);
+                    push(2, 3);
+                } else {
+                    push(3, 0);
+                    push(1, 2);
                 }
             }
         }
-        value
-            .iter()
-            .zip(&nearest)
-            .enumerate()
-            .map(|(n, (v, p))| {
-                if p[0].is_nan() {
-                    return if *v < 0.0 { -1e3 } else { 1e3 };
-                }
-                let d = self.length2((n % w) as f32 - p[0], (n / w) as f32 - p[1]).sqrt();
-                if *v < 0.0 { -d } else { d }
-            })
-            .collect()
+        out
     }
 
     fn blurred(&self, picture: &[u8], smoothing_voxels: f64) -> Vec<f32> {
@@ -561,3 +620,6 @@ fn smooth_grid(values: &mut Vec<f32>, dims: [usize; 3], variance: f64) {
         std::mem::swap(values, &mut out);
     }
 }
+
+#[cfg(test)]
+mod tests;
