@@ -14,8 +14,9 @@ pub struct FemParams {
     pub graded: bool,
     /// Improve the mesh after stuffing; on by default: most angles gain 5°–10°.
     pub optimise: bool,
-    /// Warp outside points before inside points (bounds 9.77°–163.57° for one material instead of
-    /// 9.31°–161.65°). Off by default, because the bound of the arbitrary order holds on both sides of an interface.
+    /// Warp outside points before inside points (bounds 10.77°–164.71° for one material, the paper's abstract,
+    /// instead of 9.31°–161.65°). Off by default, because the bound of the arbitrary order holds on both sides of an
+    /// interface, and because lattice points then move far enough for a tet with all corners on the surface to turn over.
     pub ordered: bool,
     /// Cut edges at the linear estimate instead of the field's true root. Off: the roots cost a few milliseconds.
     pub linear_cuts: bool,

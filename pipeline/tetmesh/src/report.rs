@@ -28,7 +28,7 @@ impl PatternReport {
                 tets: 0,
                 dihedral_deg: None,
                 bound_deg: if ordered && p.0 != "IIII" {
-                    [9.7767, 163.5684]
+                    [10.77, 164.71]
                 } else {
                     [b.0, b.1]
                 },

@@ -328,7 +328,7 @@ fn bound(params: &FemParams, dividers: usize) -> String {
         ""
     };
     let one = if params.ordered {
-        "9.77°–163.57° (ordered warp)"
+        "10.77°–164.71° (ordered warp)"
     } else {
         "9.31°–161.65°"
     };

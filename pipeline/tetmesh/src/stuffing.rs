@@ -29,10 +29,10 @@ impl WarpRule {
         ordered: false,
         linear: false,
     };
-    /// Outside points first; dihedral angles within 9.77°–163.57°.
+    /// Outside points first; dihedral angles within 10.77°–164.71° (the abstract of Labelle & Shewchuk: 10.7°–164.8°).
     pub const ORDERED: Self = Self {
-        alpha_long: 0.24999,
-        alpha_short: 0.42978,
+        alpha_long: 0.285,
+        alpha_short: 0.399,
         ordered: true,
         linear: false,
     };
