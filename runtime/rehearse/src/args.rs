@@ -1,6 +1,7 @@
 //! The command line.
 
-use clap::{Parser, Subcommand};
+use crate::Backend;
+use clap::{Args, Parser, Subcommand};
 use std::path::PathBuf;
 
 /// Presses a patient's model package with instruments and shows what happens.
@@ -8,7 +9,12 @@ use std::path::PathBuf;
 #[command(
     name = "rehearse",
     version,
-    after_help = "Exit status: 0 done, 1 input or output fault, 2 wrong usage, 3 internal error."
+    after_help = "Examples:\n  \
+        rehearse run probe-press.toml --package left-kidney.palpate -o out/\n  \
+        rehearse scene --example > scene.toml\n  \
+        rehearse replay out/recording.json\n  \
+        rehearse bench left-kidney.palpate\n\n\
+        Exit status: 0 done, 1 input or output fault, 2 wrong usage, 3 internal error."
 )]
 pub struct Cli {
     /// What to do.
@@ -19,6 +25,40 @@ pub struct Cli {
 /// Commands.
 #[derive(Debug, Subcommand)]
 pub enum Command {
+    /// Run a scene: pictures, tables, grids, arrays and a summary page.
+    Run(RunArgs),
+    /// Repeat a recording on the CPU and compare every state with the recorded one.
+    Replay {
+        /// Recording file (recording.json of an output folder).
+        recording: PathBuf,
+        /// Where the first package lies now.
+        #[arg(long, value_name = "FILE")]
+        package: Option<PathBuf>,
+        /// Worker threads (0: one per core). The states do not depend on it.
+        #[arg(long, value_name = "N", default_value_t = 0)]
+        threads: usize,
+        /// No progress.
+        #[arg(short, long)]
+        quiet: bool,
+    },
+    /// Time per step over the protocol for each package.
+    Bench {
+        /// Model packages.
+        #[arg(required = true)]
+        packages: Vec<PathBuf>,
+        /// Scene in place of the protocol.
+        #[arg(long, value_name = "FILE")]
+        scene: Option<PathBuf>,
+        /// What computes: auto, cpu or gpu.
+        #[arg(long, value_enum, default_value_t = Backend::Auto)]
+        backend: Backend,
+        /// Worker threads (0: one per core).
+        #[arg(long, value_name = "N", default_value_t = 0)]
+        threads: usize,
+        /// No progress.
+        #[arg(short, long)]
+        quiet: bool,
+    },
     /// Check a scene, and the packages that it names, without running it.
     Check {
         /// Scene file.
@@ -38,4 +78,26 @@ pub enum Command {
     },
     /// List the GPUs that the drivers of this machine offer, and why one is not taken.
     Devices,
+}
+
+/// Arguments of `run`.
+#[derive(Args, Clone, Debug)]
+pub struct RunArgs {
+    /// Scene file.
+    pub scene: PathBuf,
+    /// Model package in place of the scene's first.
+    #[arg(long, value_name = "FILE")]
+    pub package: Option<PathBuf>,
+    /// Folder to write; an earlier output there is replaced.
+    #[arg(short, long, value_name = "DIR")]
+    pub output: PathBuf,
+    /// What computes: auto, cpu or gpu.
+    #[arg(long, value_enum, default_value_t = Backend::Auto)]
+    pub backend: Backend,
+    /// Worker threads (0: one per core). The result does not depend on it.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub threads: usize,
+    /// No progress and no summary; errors only.
+    #[arg(short, long)]
+    pub quiet: bool,
 }

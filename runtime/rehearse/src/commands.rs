@@ -1,6 +1,6 @@
 use crate::scene::SceneSource;
+use crate::session::load;
 use crate::{RehearseError, motion::Timeline};
-use palpate_package::ModelPackage;
 use std::fmt::Write;
 use std::path::Path;
 
@@ -9,18 +9,41 @@ use std::path::Path;
 #[error("{0}")]
 pub struct UsageError(pub String);
 
+/// What computes a session.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum Backend {
+    /// The CPU, as long as there is no solver for GPUs.
+    #[default]
+    Auto,
+    /// The CPU.
+    Cpu,
+    /// A GPU.
+    Gpu,
+}
+
+/// Refuses a backend that cannot compute here.
+///
+/// # Errors
+/// [`RehearseError::Backend`] for GPUs: there is no solver for them yet.
+pub fn backend(choice: Backend) -> Result<(), RehearseError> {
+    match choice {
+        Backend::Auto | Backend::Cpu => Ok(()),
+        Backend::Gpu => Err(RehearseError::Backend(
+            "the solver does not run on GPUs yet; use --backend cpu (or auto)".into(),
+        )),
+    }
+}
+
 /// Adapters of this machine as text, and which backend `auto` takes.
 pub fn devices() -> String {
     let adapters = palpate_gpu::adapters();
     let mut out = String::new();
-    let mut taken = false;
     for a in &adapters {
         let mark = if a.refused.is_none() {
             "usable"
         } else {
             "not taken"
         };
-        taken |= a.refused.is_none();
         let _ = writeln!(out, "{mark:10} {a}");
     }
     if adapters.is_empty() {
@@ -28,9 +51,7 @@ pub fn devices() -> String {
     }
     let threads = std::thread::available_parallelism().map_or(1, |n| n.get());
     let _ = writeln!(out, "cpu        {threads} threads");
-    if !taken {
-        out.push_str("auto takes the CPU\n");
-    }
+    out.push_str("auto takes the CPU: the solver does not run on GPUs yet\n");
     out
 }
 
@@ -40,40 +61,27 @@ pub fn devices() -> String {
 /// Everything wrong in the scene, with its line; packages that cannot be read.
 pub fn check(scene: &Path, package: Option<&Path>) -> Result<String, RehearseError> {
     let source = SceneSource::read(scene)?;
-    let mut paths: Vec<_> = source
-        .scene
-        .packages
-        .iter()
-        .map(|p| source.resolve(&p.path))
-        .collect();
-    if let Some(p) = package {
-        match paths.first_mut() {
-            Some(first) => *first = p.into(),
-            None => paths.push(p.into()),
-        }
-    }
     let mut out = format!("{}: {}\n", source.scene.name, scene.display());
-    for (n, path) in paths.iter().enumerate() {
-        let model = ModelPackage::read(path).map_err(|e| match (package, n) {
-            (Some(_), 0) => e.into(),
-            _ => source.fault(&format!("package[{n}].path"), e.to_string()),
-        })?;
-        if n == 0 {
-            source.check_against(&model)?;
-        }
+    let any = package.is_some() || !source.scene.packages.is_empty();
+    let loaded = if any {
+        load(&source, package)?.1
+    } else {
+        Vec::new()
+    };
+    for p in &loaded {
         let _ = writeln!(
             out,
             "  {}: {} particles, {} clusters: {}",
-            model.info.regions.join(", "),
-            model.particles.positions.len(),
-            model.clusters.len(),
-            path.display()
+            p.model.info.regions.join(", "),
+            p.model.particles.positions.len(),
+            p.model.clusters.len(),
+            p.path.display()
         );
     }
-    if paths.is_empty() {
+    if !any {
         out.push_str("  no package in the scene: give one with --package\n");
     }
-    let timeline = Timeline::new(&source.scene, 1.0 / 60.0);
+    let timeline = Timeline::new(&source.scene, source.scene.solver.dt_s);
     for s in timeline.stages() {
         let _ = writeln!(
             out,

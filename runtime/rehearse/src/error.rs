@@ -54,4 +54,24 @@ pub enum RehearseError {
         /// The encoder's error.
         source: png::EncodingError,
     },
+    /// The solver refuses the scene.
+    #[error(transparent)]
+    Solver(#[from] palpate_pbd::PbdError),
+    /// No ultrasound image can be made.
+    #[error(transparent)]
+    Ultrasound(#[from] palpate_ultrasound::UltrasoundError),
+    /// The array file cannot be coded.
+    #[error("array file: {0}")]
+    Arrays(#[from] zip::result::ZipError),
+    /// A recording cannot be used.
+    #[error("{problem}: {}", .path.display())]
+    Recording {
+        /// What was found and what was expected.
+        problem: String,
+        /// File.
+        path: PathBuf,
+    },
+    /// The backend cannot compute.
+    #[error("backend: {0}")]
+    Backend(String),
 }

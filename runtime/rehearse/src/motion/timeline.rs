@@ -102,6 +102,18 @@ impl Timeline {
         from
     }
 
+    /// The instrument that is pressed.
+    pub fn pressed(&self) -> Option<usize> {
+        self.presses
+    }
+
+    /// Step after which the pressed instrument is seated on the settled organ, and the step by which it has arrived; none
+    /// without a press or a warm-up.
+    pub fn seating(&self) -> Option<[u32; 2]> {
+        let warm = self.stages.first()?.last_step;
+        (warm > 0).then_some([warm / 2, warm])
+    }
+
     /// Move of instrument `index` from its start pose after a step, in the frame of the start pose.
     pub fn pose(&self, index: usize, step: u32) -> RigidPose {
         if self.presses == Some(index) {

@@ -114,9 +114,9 @@ fn view(scene: &SceneGeometry, camera: &Camera, organ_opacity: f32, out: &mut Pi
         shine: 0.12,
         ..Material::plain(INSTRUMENT)
     };
-    let support_inside = Material {
-        two_sided: true,
+    let support = Material {
         shine: 0.0,
+        opacity: 0.3,
         ..Material::plain(SUPPORT)
     };
     let mut shown = View3d {
@@ -152,15 +152,9 @@ fn view(scene: &SceneGeometry, camera: &Camera, organ_opacity: f32, out: &mut Pi
             },
         )
     }));
-    shown.veils.extend(scene.supports.iter().map(|m| {
-        item(
-            m,
-            Material {
-                opacity: 0.22,
-                ..support_inside
-            },
-        )
-    }));
+    shown
+        .veils
+        .extend(scene.supports.iter().map(|m| item(m, support)));
     draw_view(&shown, camera, out, 0);
 }
 

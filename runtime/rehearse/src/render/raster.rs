@@ -11,7 +11,7 @@ const BAND: usize = 16;
 /// Farther off screen than this many units a triangle is left out.
 const FAR: f32 = 4.0e6;
 /// A veil must be nearer than what is opaque by this much, mm: surfaces that coincide show the opaque one.
-const VEIL_BIAS_MM: f32 = 0.25;
+const VEIL_BIAS_MM: f32 = 0.5;
 const NOTHING: u32 = u32::MAX;
 
 /// How a surface looks.

@@ -2,6 +2,8 @@ use super::names::nearest;
 use super::{FORMAT, Instrument, Press, SceneSource, ShapeKind};
 use crate::RehearseError;
 use palpate_package::{ModelPackage, SurfaceKind};
+use palpate_pbd::PbdError;
+use palpate_ultrasound::UltrasoundError;
 
 /// Longest session, steps: about five hours of simulated time.
 const MOST_STEPS: u32 = 1_000_000;
@@ -71,7 +73,37 @@ impl SceneSource {
         if s.steps == 0 || s.steps > MOST_STEPS {
             return Err(self.fault("steps", format!("{} steps, expected 1 to {MOST_STEPS}", s.steps)));
         }
+        self.solver()?;
         self.pictures()
+    }
+
+    fn solver(&self) -> Result<(), RehearseError> {
+        let s = &self.scene;
+        match s.solver.check() {
+            Ok(()) => {}
+            Err(PbdError::Setting {
+                name,
+                found,
+                expected,
+            }) => {
+                return Err(self.fault(
+                    &format!("solver.{name}"),
+                    format!("{name} is {found}, expected {expected}"),
+                ));
+            }
+            Err(e) => return Err(self.fault("solver", e.to_string())),
+        }
+        if self.has("solver.gravity_mm_s2") && s.solver.gravity_mm_s2 != s.gravity.vector_mm_s2() {
+            return Err(self.fault(
+                "solver.gravity_mm_s2",
+                format!(
+                    "gravity_mm_s2 is {:?}, but [gravity] says {:?}; keep one of them",
+                    s.solver.gravity_mm_s2,
+                    s.gravity.vector_mm_s2()
+                ),
+            ));
+        }
+        Ok(())
     }
 
     fn pictures(&self) -> Result<(), RehearseError> {
@@ -84,20 +116,18 @@ impl SceneSource {
             }
         }
         let Some(image) = &s.image else { return Ok(()) };
-        if image.level > 3 {
-            return Err(self.fault("image.level", format!("level {}, expected 0 to 3", image.level)));
-        }
-        self.number("image.depth_mm", image.depth_mm, 1.0, 500.0, "1 to 500 mm")?;
-        if let Some(w) = image.width_mm {
-            self.number("image.width_mm", w, 1.0, 500.0, "1 to 500 mm")?;
-        }
-        for (key, px) in [
-            ("image.width_px", image.width_px),
-            ("image.height_px", image.height_px),
-        ] {
-            if !(16..=4096).contains(&px) {
-                return Err(self.fault(key, format!("{px} pixels, expected 16 to 4096")));
-            }
+        let told = [image.probe.check(), image.settings.check(), image.tissues.check()];
+        if let Some(e) = told.into_iter().find_map(Result::err) {
+            let key = match &e {
+                UltrasoundError::Setting { name, .. } => {
+                    ["probe", "settings", "settings.acoustic", "probe.shape.linear"]
+                        .iter()
+                        .map(|t| format!("image.{t}.{name}"))
+                        .find(|k| self.has(k))
+                }
+                _ => None,
+            };
+            return Err(self.fault(&key.unwrap_or_else(|| "image".into()), e.to_string()));
         }
         if s.instruments.is_empty() {
             return Err(self.fault(
@@ -232,6 +262,9 @@ impl SceneSource {
         if let Some(mu) = tool.friction {
             self.number(&key("friction"), mu, 0.0, 10.0, "0 to 10")?;
         }
+        if let Some(d) = tool.collision_distance_mm {
+            self.number(&key("collision_distance_mm"), d, 0.0, 50.0, "0 to 50 mm")?;
+        }
         let pose = &tool.pose;
         self.numbers(&key("pose.shift_mm"), &pose.shift_mm, 1e3)?;
         self.numbers(&key("pose.rotation_deg"), &pose.rotation_deg, 1e5)?;
@@ -308,7 +341,14 @@ impl SceneSource {
             }
         }
         let support = self.scene.support.as_str();
-        if matches!(support, "cradle" | "plane" | "none") || is_mesh_file(support) {
+        if matches!(support, "cradle" | "plane" | "none") {
+            return Ok(());
+        }
+        if is_mesh_file(support) {
+            let file = self.resolve(support.as_ref());
+            if !file.is_file() {
+                return Err(self.fault("support", format!("no such file: {}", file.display())));
+            }
             return Ok(());
         }
         let bodies: Vec<&str> = package
@@ -317,10 +357,13 @@ impl SceneSource {
             .filter(|s| s.kind == SurfaceKind::Support)
             .map(|s| s.name.as_str())
             .collect();
-        if bodies.contains(&support) {
+        if bodies.contains(&support) || (support == "package" && !bodies.is_empty()) {
             return Ok(());
         }
         let mut known = vec!["cradle", "plane", "none"];
+        if !bodies.is_empty() {
+            known.push("package");
+        }
         known.extend(&bodies);
         Err(self.fault("support", unknown("support", support, &known)))
     }

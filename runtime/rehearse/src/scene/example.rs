@@ -3,3 +3,6 @@ pub const EXAMPLE: &str = include_str!("example.toml");
 
 /// The paper's protocol (`fixtures/scenes/probe-press.toml`).
 pub const PROBE_PRESS: &str = include_str!("../../../../fixtures/scenes/probe-press.toml");
+
+/// The protocol, then the probe is lifted off (`fixtures/scenes/press-and-release.toml`).
+pub const PRESS_AND_RELEASE: &str = include_str!("../../../../fixtures/scenes/press-and-release.toml");

@@ -8,11 +8,13 @@ mod read;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use check::is_mesh_file;
 pub use direction::Direction;
-pub use example::{EXAMPLE, PROBE_PRESS};
+pub use example::{EXAMPLE, PRESS_AND_RELEASE, PROBE_PRESS};
 pub use read::SceneSource;
 
 use crate::motion::{Interpolation, Keyframe};
+use palpate_ultrasound::{Probe, TissueTable};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -28,8 +30,8 @@ pub struct Scene {
     pub format: u32,
     /// Title in the summary.
     pub name: String,
-    /// What the first package's organ lies on: `cradle` (moulded to the organ), `plane`, `none`, the name of a support body
-    /// of the package, or an STL file beside the scene.
+    /// What the first package's organ lies on: `cradle` (moulded to the organ), `plane`, `none`, `package` (all its support
+    /// bodies), the name of one of them, or an STL file (patient RAS mm) beside the scene.
     pub support: String,
     /// Steps of a scene that neither presses nor moves anything.
     pub steps: u32,
@@ -49,6 +51,8 @@ pub struct Scene {
     pub view: View,
     /// What is kept.
     pub record: Record,
+    /// The solver; its gravity is that of `gravity`.
+    pub solver: palpate_pbd::Settings,
     /// Model packages; the first is the one that instruments and support refer to.
     #[serde(rename = "package")]
     pub packages: Vec<PackageEntry>,
@@ -71,6 +75,7 @@ impl Default for Scene {
             image: None,
             view: View::default(),
             record: Record::default(),
+            solver: palpate_pbd::Settings::default(),
             packages: Vec::new(),
             instruments: Vec::new(),
         }
@@ -94,6 +99,18 @@ pub struct PackageEntry {
     pub rotation_deg: [f64; 3],
 }
 
+impl PackageEntry {
+    /// The package where the patient has it, under the organ's name.
+    pub fn at(path: PathBuf) -> Self {
+        Self {
+            path,
+            name: None,
+            offset_mm: [0.0; 3],
+            rotation_deg: [0.0; 3],
+        }
+    }
+}
+
 /// Weight of everything.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -110,6 +127,16 @@ impl Default for Gravity {
             direction: Direction::POSTERIOR,
             acceleration_mm_s2: 9810.0,
         }
+    }
+}
+
+impl Gravity {
+    /// Acceleration, patient RAS, mm/s².
+    pub fn vector_mm_s2(&self) -> [f64; 3] {
+        // `+ 0.0` turns −0 into 0.
+        (self.direction.unit() * self.acceleration_mm_s2)
+            .to_array()
+            .map(|v| v + 0.0)
     }
 }
 
@@ -173,6 +200,10 @@ pub struct Instrument {
     /// Coulomb coefficient; absent: the solver's `shape_friction`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub friction: Option<f64>,
+    /// Distance kept to particle centres, mm; absent: how deep particles lie below the organ's surface on average, so that
+    /// the surface touches.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub collision_distance_mm: Option<f64>,
     /// Where it starts.
     #[serde(default)]
     pub pose: StartPose,
@@ -234,9 +265,24 @@ pub struct Press {
     /// How the indentation runs within a stage. The paper: linear.
     #[serde(default)]
     pub interpolation: Interpolation,
+    /// What the indentation counts from.
+    #[serde(default)]
+    pub contact: ContactState,
     /// Stages in order.
     #[serde(rename = "stage")]
     pub stages: Vec<Stage>,
+}
+
+/// Which organ the instrument touches when a press begins.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ContactState {
+    /// The one that has settled on its support: half-way through the warm-up the instrument starts to follow it along its
+    /// axis and touches it when the warm-up ends. In the paper the scan shows the settled organ; ours shows the patient's.
+    #[default]
+    Settled,
+    /// The one at rest, as the package has it.
+    Rest,
 }
 
 fn warm_up_steps() -> u32 {
@@ -249,7 +295,7 @@ fn warm_up_steps() -> u32 {
 pub struct Stage {
     /// Name in outputs.
     pub name: String,
-    /// How far the instrument stands past its start pose when the stage ends, mm.
+    /// How far the instrument stands past the first contact (less the start pose's gap) when the stage ends, mm.
     pub indentation_mm: f64,
     /// Steps. The paper: 90.
     pub steps: u32,
@@ -275,35 +321,17 @@ impl Default for FiducialChoice {
 }
 
 /// The ultrasound image.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ImageSettings {
-    /// The instrument that carries the scan plane (its x–z plane); empty: the first.
+    /// The instrument that carries the scan plane (its x–z plane, from the front's middle); empty: the first.
     pub instrument: String,
-    /// 0: the scan's intensities as they are (the paper); 1: grey map and depth gain; 2: rays; 3: speckle as well.
-    pub level: u8,
-    /// Depth below the front, mm.
-    pub depth_mm: f64,
-    /// Width, mm; absent: the instrument's.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub width_mm: Option<f64>,
-    /// Pixels across.
-    pub width_px: u32,
-    /// Pixels down.
-    pub height_px: u32,
-}
-
-impl Default for ImageSettings {
-    fn default() -> Self {
-        Self {
-            instrument: String::new(),
-            level: 0,
-            depth_mm: 60.0,
-            width_mm: None,
-            width_px: 512,
-            height_px: 512,
-        }
-    }
+    /// The transducer.
+    pub probe: Probe,
+    /// Pixels, background, level, grey scale.
+    pub settings: palpate_ultrasound::Settings,
+    /// Tissues of labels and their sound.
+    pub tissues: TissueTable,
 }
 
 /// The 3-D picture.

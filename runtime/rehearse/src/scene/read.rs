@@ -62,9 +62,19 @@ impl SceneSource {
         }
     }
 
+    /// Whether the text holds this key.
+    pub(super) fn has(&self, key: &str) -> bool {
+        self.find(key).1
+    }
+
     fn line_of(&self, key: &str) -> usize {
+        line_at(&self.text, self.find(key).0)
+    }
+
+    /// Where the value of a key starts, or of the table that should hold it, and whether it is the key's own.
+    fn find(&self, key: &str) -> (usize, bool) {
         let Ok(table) = DeTable::parse(&self.text) else {
-            return 1;
+            return (0, false);
         };
         let mut start = 0;
         let mut here: Option<&Spanned<DeValue>> = None;
@@ -84,10 +94,10 @@ impl SceneSource {
                     start = v.span().start;
                     here = Some(v);
                 }
-                None => break,
+                None => return (start, false),
             }
         }
-        line_at(&self.text, start)
+        (start, true)
     }
 }
 

@@ -11,7 +11,7 @@ const PROBE: &str = "[[instrument]]\nname = 'probe'\nshape = 'cuboid'\nsize_mm =
 
 #[test]
 fn bundled_and_example_scenes_read_and_go_round() {
-    for text in [EXAMPLE, PROBE_PRESS] {
+    for text in [EXAMPLE, PROBE_PRESS, PRESS_AND_RELEASE] {
         let scene = SceneSource::parse(text, "s.toml".as_ref()).unwrap().scene;
         let written = toml::to_string(&scene).unwrap();
         let again = SceneSource::parse(&written, "s.toml".as_ref()).unwrap().scene;
@@ -28,6 +28,7 @@ fn the_example_shows_defaults_as_they_are() {
     assert_eq!(scene.record, plain.record);
     assert_eq!(scene.view, plain.view);
     assert_eq!(scene.fiducials, plain.fiducials);
+    assert_eq!(scene.solver, plain.solver);
     assert_eq!((scene.steps, &scene.support), (plain.steps, &plain.support));
     assert_eq!(scene.instruments[0].pose, StartPose::default());
     let image = ImageSettings {
@@ -42,7 +43,7 @@ fn wrong_keys_units_values_and_names_are_told_with_their_line() {
     let stage = "[press]\ninstrument = 'probe'\n[[press.stage]]\nname = 'a'\nindentation_mm = 5\nsteps = 9\n";
     for (text, expected) in [
         (
-            "format = 1\n\n[image]\ndepth_cm = 6\n".to_string(),
+            "format = 1\n\n[image.probe]\ndepth_cm = 6\n".to_string(),
             "s.toml:4: unknown key \"depth_cm\"; the nearest valid key is \"depth_mm\" (mind the unit)",
         ),
         (
@@ -105,6 +106,18 @@ fn wrong_keys_units_values_and_names_are_told_with_their_line() {
         (
             "[stiffness]\norgan = 1.5\n".into(),
             "s.toml:2: organ is 1.5, expected 0 to 1",
+        ),
+        (
+            "[solver]\nover_relaxation = 3\n".into(),
+            "s.toml:2: over_relaxation is 3, expected 1 to 2",
+        ),
+        (
+            "[solver]\ngravity_mm_s2 = [0, 0, 1]\n".into(),
+            "s.toml:2: gravity_mm_s2 is [0.0, 0.0, 1.0], but [gravity] says [0.0, -9810.0, 0.0]; keep one of them",
+        ),
+        (
+            format!("{PROBE}[image]\n[image.settings]\nblack_hu = 900\n"),
+            "s.toml:7: ultrasound setting black_hu is 900 with white_hu 240, expected finite and below white_hu",
         ),
         ("x = \n".into(), "s.toml:1: "),
     ] {

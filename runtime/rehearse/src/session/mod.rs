@@ -1,0 +1,488 @@
+//! A session: packages, solver, support and instruments, stepped along the timeline.
+
+mod geometry;
+mod load;
+mod organ;
+mod support;
+mod tool;
+
+pub use geometry::{CroppedImage, RestShape};
+pub use load::{Loaded, load};
+
+use crate::RehearseError;
+use crate::motion::{RigidPose, Timeline};
+use crate::render::Mesh;
+use crate::scene::{ContactState, Scene};
+use crate::trace::{Contact, StageRow, StepRow, StepTimes, Trace};
+use glam::{DVec3, Vec3};
+use organ::Organ;
+use palpate_pbd::{Collider, Pose, SoftBody, Solver, TriangleMesh};
+use palpate_ultrasound::{ProbePose, Scanner};
+use std::time::Instant;
+use tool::{Form, Target, first_contact, solver_pose, start_pose};
+
+/// An instrument in the session.
+struct Tool {
+    name: String,
+    collider: usize,
+    start: RigidPose,
+    /// Collider frame in the instrument's, mm.
+    inner: DVec3,
+    now: RigidPose,
+    mesh: Mesh,
+}
+
+/// The ultrasound image of a session.
+struct Imaging {
+    scanner: Scanner,
+    tool: usize,
+    grey: Vec<u8>,
+    inverted_tets: u32,
+}
+
+/// How large a session's problem is, over all organs.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SessionSize {
+    /// Particle spacing of the first organ, mm.
+    pub radius_mm: f64,
+    /// Particles.
+    pub particles: usize,
+    /// Clusters.
+    pub clusters: usize,
+    /// Memberships.
+    pub memberships: usize,
+}
+
+/// Packages, solver, support and instruments, ready to be stepped. The world is patient RAS mm less the first package's
+/// origin.
+pub struct Session {
+    scene: Scene,
+    timeline: Timeline,
+    solver: Solver,
+    organs: Vec<Organ>,
+    supports: Vec<Mesh>,
+    tools: Vec<Tool>,
+    imaging: Option<Imaging>,
+    origin: DVec3,
+    contact_mm: f64,
+    size: SessionSize,
+    step: u32,
+    /// Way along the axis that seats the pressed instrument on the settled organ, mm.
+    seat_mm: f64,
+    trace: Trace,
+    warnings: Vec<String>,
+}
+
+impl Session {
+    /// Sets a session up on this many threads (0: one per core).
+    ///
+    /// # Errors
+    /// A package without organ surface; whatever the solver or the ultrasound refuses.
+    pub fn new(scene: Scene, packages: &[Loaded], threads: usize) -> Result<Self, RehearseError> {
+        let first = packages.first().ok_or_else(|| RehearseError::Unusable {
+            problem: "the scene names no package; give one with --package".into(),
+            path: scene.name.clone().into(),
+        })?;
+        let origin = DVec3::from_array(first.model.info.local_origin_mm);
+        let (mut organs, mut bodies) = (Vec::new(), Vec::new());
+        for (n, (loaded, entry)) in packages.iter().zip(&scene.packages).enumerate() {
+            // Structures are named in the first package only.
+            let stiffness = scene.stiffness.clone();
+            let fiducials = (n == 0).then_some(scene.fiducials);
+            let (organ, body) = Organ::new(loaded, entry, &stiffness, fiducials, origin)?;
+            organs.push(organ);
+            bodies.push(body);
+        }
+        let size = SessionSize {
+            radius_mm: bodies[0].spacing_mm(),
+            particles: bodies.iter().map(SoftBody::particle_count).sum(),
+            clusters: bodies.iter().map(SoftBody::cluster_count).sum(),
+            memberships: bodies.iter().map(SoftBody::membership_count).sum(),
+        };
+        let lead = &organs[0];
+        let contact_mm = load::particle_depth_mm(&first.model);
+        let surface = TriangleMesh {
+            vertices: lead.surface.mesh.vertices.clone(),
+            triangles: lead.surface.mesh.triangles.clone(),
+        };
+        let mut supports = support::supports(
+            &scene,
+            first,
+            &bodies[0],
+            lead.placement,
+            &surface,
+            contact_mm,
+            origin,
+        )?;
+        let mut warnings = load::cautions(first);
+        let tools = tools(
+            &scene,
+            lead,
+            origin,
+            contact_mm,
+            &mut supports.colliders,
+            &mut warnings,
+        )?;
+        let settings = palpate_pbd::Settings {
+            gravity_mm_s2: scene.gravity.vector_mm_s2(),
+            ..scene.solver.clone()
+        };
+        let timeline = Timeline::new(&scene, settings.dt_s);
+        let imaging = imaging(&scene, packages)?;
+        let solver = Solver::with_threads(
+            palpate_pbd::Scene::new(bodies, supports.colliders),
+            settings,
+            threads,
+        )?;
+        let trace = Trace {
+            instruments: tools.iter().map(|t| t.name.clone()).collect(),
+            fiducials: lead.fiducial_names.clone(),
+            fiducials_rest_mm: patient(&lead.fiducials.points, origin),
+            stages: timeline
+                .stages()
+                .iter()
+                .map(|s| StageRow {
+                    name: s.name.clone(),
+                    indentation_mm: s.indentation_mm,
+                    last_step: s.last_step,
+                })
+                .collect(),
+            steps: Vec::with_capacity(timeline.steps() as usize),
+        };
+        let mut out = Self {
+            scene,
+            timeline,
+            solver,
+            organs,
+            supports: supports.meshes,
+            tools,
+            imaging,
+            origin,
+            contact_mm,
+            size,
+            step: 0,
+            seat_mm: 0.0,
+            trace,
+            warnings,
+        };
+        out.scan()?;
+        Ok(out)
+    }
+
+    /// The scene, gravity and solver settings as used.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// Stages and length.
+    pub fn timeline(&self) -> &Timeline {
+        &self.timeline
+    }
+
+    /// The solver.
+    pub fn solver(&self) -> &Solver {
+        &self.solver
+    }
+
+    /// Steps made.
+    pub fn step_number(&self) -> u32 {
+        self.step
+    }
+
+    /// What was measured so far.
+    pub fn trace(&self) -> &Trace {
+        &self.trace
+    }
+
+    /// What the user should know of packages and scene.
+    pub fn warnings(&self) -> &[String] {
+        &self.warnings
+    }
+
+    /// Distance kept between solids and particle centres, mm: how deep particles lie below the organ's surface on average.
+    pub fn contact_distance_mm(&self) -> f64 {
+        self.contact_mm
+    }
+
+    /// How large the solver's problem is.
+    pub fn size(&self) -> SessionSize {
+        self.size
+    }
+
+    /// Poses of all instruments' colliders as the solver gets them after `step`.
+    pub fn poses(&self, step: u32) -> Vec<Pose> {
+        (0..self.tools.len())
+            .map(|k| {
+                let t = &self.tools[k];
+                let mut way = self.timeline.pose(k, step);
+                if self.timeline.pressed() == Some(k) {
+                    way.position.z += self.seating_mm(step);
+                }
+                let at = t.start.after(way);
+                solver_pose(RigidPose {
+                    position: at.apply(t.inner),
+                    ..at
+                })
+            })
+            .collect()
+    }
+
+    /// How far the pressed instrument was moved along its axis to touch the settled organ, mm; 0 until it is known.
+    pub fn seat_mm(&self) -> f64 {
+        self.seat_mm
+    }
+
+    /// Part of that way that is done after `step`.
+    fn seating_mm(&self, step: u32) -> f64 {
+        let Some([from, to]) = self.timeline.seating() else {
+            return 0.0;
+        };
+        let done = f64::from(step.saturating_sub(from)) / f64::from((to - from).max(1));
+        self.seat_mm * done.min(1.0)
+    }
+
+    /// Finds the way to the settled organ when its time has come.
+    fn seat(&mut self) {
+        let (Some(k), Some([from, _])) = (self.timeline.pressed(), self.timeline.seating()) else {
+            return;
+        };
+        let settled = self
+            .scene
+            .press
+            .as_ref()
+            .is_some_and(|p| p.contact == ContactState::Settled);
+        let Some(i) = self.scene.instruments.get(k) else {
+            return;
+        };
+        if !settled || self.step != from || i.pose.position_mm.is_some() {
+            return;
+        }
+        let surface = &self.organs[0].surface.mesh;
+        let target = Target {
+            vertices: &surface.vertices,
+            triangles: &surface.triangles,
+            structures: &[],
+        };
+        let way = first_contact(&Form::new(i), self.tools[k].start, &target);
+        self.seat_mm = way.map_or(0.0, |w| w - i.pose.gap_mm);
+    }
+
+    /// Puts instruments at once where they start. Only before the first step.
+    ///
+    /// # Errors
+    /// As the solver's: poses that are not finite, or more than there are instruments.
+    pub fn place(&mut self, poses: &[Pose]) -> Result<(), RehearseError> {
+        for (t, &pose) in self.tools.iter().zip(poses) {
+            self.solver.place(t.collider, pose)?;
+        }
+        Ok(())
+    }
+
+    /// The next step along the timeline.
+    ///
+    /// # Errors
+    /// As [`Session::advance`].
+    pub fn advance_scripted(&mut self) -> Result<&StepRow, RehearseError> {
+        let poses = self.poses(self.step + 1);
+        self.advance(&poses)
+    }
+
+    /// One step with instruments that end at `poses`: solver, skinning, image, measures.
+    ///
+    /// # Errors
+    /// Poses that are not finite; an image that cannot be made.
+    pub fn advance(&mut self, poses: &[Pose]) -> Result<&StepRow, RehearseError> {
+        self.step += 1;
+        for (t, &pose) in self.tools.iter_mut().zip(poses) {
+            self.solver.set_pose(t.collider, pose)?;
+            let q = pose.rotation;
+            let turned = RigidPose {
+                position: pose.translation.as_dvec3(),
+                rotation: glam::DQuat::from_xyzw(q.x.into(), q.y.into(), q.z.into(), q.w.into()),
+            };
+            t.now = RigidPose {
+                position: turned.apply(-t.inner),
+                ..turned
+            };
+        }
+        self.solver.step();
+        for (n, organ) in self.organs.iter_mut().enumerate() {
+            organ.follow(&mut self.solver, n)?;
+        }
+        let before = Instant::now();
+        self.scan()?;
+        let image_s = before.elapsed().as_secs_f64();
+        let row = self.measure(image_s);
+        self.trace.steps.push(row);
+        self.seat();
+        // Just pushed.
+        Ok(&self.trace.steps[self.trace.steps.len() - 1])
+    }
+
+    fn scan(&mut self) -> Result<(), RehearseError> {
+        let Some(imaging) = &mut self.imaging else {
+            return Ok(());
+        };
+        let pose = self.tools[imaging.tool].now;
+        let unit = |v: DVec3| (pose.rotation * v).to_array();
+        let probe = ProbePose::looking(
+            (pose.position + self.origin).to_array(),
+            unit(DVec3::Z),
+            unit(DVec3::X),
+        )?;
+        let deformed: Vec<&[[f32; 3]]> = self.organs.iter().map(|o| o.embedding_local.as_slice()).collect();
+        let slice = imaging.scanner.slice(&deformed, &probe)?;
+        imaging.grey = slice.grey();
+        imaging.inverted_tets = u32::try_from(slice.inverted_tets()).unwrap_or(u32::MAX);
+        Ok(())
+    }
+
+    fn measure(&self, image_s: f64) -> StepRow {
+        let contacts = self
+            .tools
+            .iter()
+            .map(|t| {
+                let Some(c) = self.solver.contacts().get(t.collider) else {
+                    return Contact::default();
+                };
+                // From the collider's origin to the front's middle.
+                let arm = t.now.apply(t.inner) - t.now.position;
+                let torque = DVec3::from(c.torque_n_mm) + arm.cross(DVec3::from(c.force_n));
+                Contact {
+                    force_n: c.force_n,
+                    smooth_force_n: c.smooth_force_n,
+                    torque_n_mm: torque.to_array(),
+                    normal_force_n: c.normal_force_n,
+                    area_mm2: c.area_mm2,
+                    pressure_kpa: c.pressure_kpa,
+                    contacts: u32::try_from(c.contacts).unwrap_or(u32::MAX),
+                    depth_mm: c.depth_mm.into(),
+                }
+            })
+            .collect();
+        let t = self.solver.timings();
+        let clamps = self.solver.clamps();
+        StepRow {
+            step: self.step,
+            time_s: self.timeline.time_s(self.step),
+            stage: self
+                .timeline
+                .stages()
+                .iter()
+                .position(|s| self.step <= s.last_step)
+                .unwrap_or(self.timeline.stages().len().saturating_sub(1)),
+            indentation_mm: self.timeline.indentation_mm(self.step),
+            contacts,
+            times: StepTimes {
+                parts: [
+                    t.integrate_s,
+                    t.neighbours_s,
+                    t.collision_s,
+                    t.contacts_s,
+                    t.shape_matching_s,
+                    t.frames_s,
+                    t.skinning_s,
+                    image_s,
+                ],
+                solver_s: t.total_s,
+            },
+            fiducials_mm: patient(&self.organs[0].fiducials.points, self.origin),
+            clamps: clamps.speed
+                + clamps.acceleration
+                + clamps.not_finite
+                + clamps.shape_contacts
+                + clamps.particle_contacts,
+            inverted_tets: self.imaging.as_ref().map_or(0, |i| i.inverted_tets),
+            digest: self.solver.digest(),
+        }
+    }
+}
+
+fn patient(points: &[[f32; 3]], origin: DVec3) -> Vec<[f64; 3]> {
+    points
+        .iter()
+        .map(|&p| (Vec3::from(p).as_dvec3() + origin).to_array())
+        .collect()
+}
+
+fn tools(
+    scene: &Scene,
+    lead: &Organ,
+    origin: DVec3,
+    contact_mm: f64,
+    colliders: &mut Vec<Collider>,
+    warnings: &mut Vec<String>,
+) -> Result<Vec<Tool>, RehearseError> {
+    let mut structures: Vec<(String, Vec<[f32; 3]>)> = lead
+        .structures
+        .iter()
+        .map(|s| (s.name.clone(), s.mesh.vertices.clone()))
+        .collect();
+    // The largest first, of equals the first.
+    structures.sort_by(|a, b| extent(&b.1).total_cmp(&extent(&a.1)));
+    let target = Target {
+        vertices: &lead.surface.mesh.vertices,
+        triangles: &lead.surface.mesh.triangles,
+        structures: &structures,
+    };
+    let mut out = Vec::new();
+    for i in &scene.instruments {
+        let form = Form::new(i);
+        let start = start_pose(&i.pose, &form, &target, origin);
+        if first_contact(&form, start, &target).is_none() {
+            warnings.push(format!(
+                "instrument \"{}\" does not meet the organ on its way along its axis",
+                i.name
+            ));
+        }
+        let (shape, inner) = form.collider()?;
+        let at = solver_pose(RigidPose {
+            position: start.apply(inner),
+            ..start
+        });
+        let mut collider = Collider::moving(&i.name, shape, at);
+        collider.friction = i.friction;
+        collider.collision_distance_mm = Some(i.collision_distance_mm.unwrap_or(contact_mm));
+        out.push(Tool {
+            name: i.name.clone(),
+            collider: colliders.len(),
+            start,
+            inner,
+            now: start,
+            mesh: form.mesh(),
+        });
+        colliders.push(collider);
+    }
+    Ok(out)
+}
+
+/// Product of the box's sides.
+fn extent(points: &[[f32; 3]]) -> f32 {
+    let (lo, hi) = points
+        .iter()
+        .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(lo, hi), &p| {
+            (lo.min(p.into()), hi.max(p.into()))
+        });
+    (hi - lo).max(Vec3::ZERO).to_array().iter().product()
+}
+
+fn imaging(scene: &Scene, packages: &[Loaded]) -> Result<Option<Imaging>, RehearseError> {
+    let Some(image) = &scene.image else {
+        return Ok(None);
+    };
+    let tool = scene
+        .instruments
+        .iter()
+        .position(|i| i.name == image.instrument)
+        .unwrap_or(0);
+    let organs = packages
+        .iter()
+        .map(|p| palpate_ultrasound::Organ::new(&p.model, &image.tissues))
+        .collect::<Result<Vec<_>, _>>()?;
+    Ok(Some(Imaging {
+        scanner: Scanner::new(organs, image.probe, image.settings.clone())?,
+        tool,
+        grey: Vec::new(),
+        inverted_tets: 0,
+    }))
+}
