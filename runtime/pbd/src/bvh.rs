@@ -8,20 +8,20 @@ const LEAF: usize = 4;
 const STACK: usize = 64;
 
 #[derive(Clone, Copy, Debug)]
-struct Node {
-    lo: Vec3,
-    hi: Vec3,
+pub(crate) struct Node {
+    pub(crate) lo: Vec3,
+    pub(crate) hi: Vec3,
     /// Leaf: first slot. Inner: index of the right child; the left one follows its parent.
-    at: u32,
+    pub(crate) at: u32,
     /// Slots of a leaf; 0 for an inner node.
-    count: u32,
+    pub(crate) count: u32,
 }
 
 /// Depth-first median-split tree; `order[slot]` is a triangle.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Bvh {
-    nodes: Vec<Node>,
-    order: Vec<u32>,
+    pub(crate) nodes: Vec<Node>,
+    pub(crate) order: Vec<u32>,
 }
 
 /// Nearest place on a triangle.

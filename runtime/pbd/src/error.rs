@@ -74,4 +74,7 @@ pub enum PbdError {
         /// What the scene holds.
         expected: String,
     },
+    /// The GPU is not there, too small, out of memory or lost.
+    #[error(transparent)]
+    Gpu(#[from] palpate_gpu::GpuError),
 }

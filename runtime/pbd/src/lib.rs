@@ -1,4 +1,4 @@
-//! Position-based dynamics of soft organs on the CPU (Camara et al. 2016, Algorithm 1): clustered shape matching,
+//! Position-based dynamics of soft organs on the CPU and on GPUs (Camara et al. 2016, Algorithm 1): clustered shape matching,
 //! contacts with solids and between particles, friction, contact forces.
 //!
 //! From: a model package or raw particles and clusters, solids, settings.
@@ -13,6 +13,7 @@ mod bvh;
 mod collider;
 mod cradle;
 mod error;
+mod gpu;
 mod grid;
 mod mesh;
 mod pose;
@@ -27,6 +28,7 @@ pub use body::{RawBody, SoftBody};
 pub use collider::{Collider, Convex, Shape, SignedDistanceGrid};
 pub use cradle::{CradleParams, clearance_mm, cradle};
 pub use error::PbdError;
+pub use gpu::{GpuOptions, GpuSolver, SkinId};
 pub use mesh::TriangleMesh;
 pub use pose::Pose;
 pub use rotation::{muller_pass, nearest_rotation};

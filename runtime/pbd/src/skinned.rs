@@ -10,17 +10,17 @@ const CHUNK: usize = 512;
 /// matrix blending").
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SkinnedPoints {
-    points: Vec<Tied>,
+    pub(crate) points: Vec<Tied>,
     normals: Vec<Vec3>,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-struct Tied {
-    rest: Vec3,
-    clusters: [u32; 4],
-    weights: [f32; 4],
+pub(crate) struct Tied {
+    pub(crate) rest: Vec3,
+    pub(crate) clusters: [u32; 4],
+    pub(crate) weights: [f32; 4],
     /// X − Cₖ.
-    local: [Vec3; 4],
+    pub(crate) local: [Vec3; 4],
 }
 
 impl SkinnedPoints {

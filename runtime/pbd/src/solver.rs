@@ -1,11 +1,11 @@
 //! One step of Algorithm 1 of Camara et al. 2016, on all cores, the same bits on any number of them.
 
-mod clusters;
-mod neighbours;
-mod particles;
+pub(crate) mod clusters;
+pub(crate) mod neighbours;
+pub(crate) mod particles;
 mod report;
 mod setup;
-mod solids;
+pub(crate) mod solids;
 mod state;
 
 pub use particles::ClampCounts;
@@ -38,26 +38,26 @@ pub struct Solver {
 
 /// Everything but the thread pool.
 #[derive(Debug)]
-struct Core {
-    particles: Particles,
-    clusters: Clusters,
-    neighbours: Neighbours,
-    solids: Solids,
-    bodies: Vec<BodyInfo>,
-    ranges: Vec<Range>,
-    distance: Vec<f32>,
-    margin: Vec<f32>,
-    mass: Vec<f32>,
-    drift: Vec<Vec3A>,
+pub(crate) struct Core {
+    pub(crate) particles: Particles,
+    pub(crate) clusters: Clusters,
+    pub(crate) neighbours: Neighbours,
+    pub(crate) solids: Solids,
+    pub(crate) bodies: Vec<BodyInfo>,
+    pub(crate) ranges: Vec<Range>,
+    pub(crate) distance: Vec<f32>,
+    pub(crate) margin: Vec<f32>,
+    pub(crate) mass: Vec<f32>,
+    pub(crate) drift: Vec<Vec3A>,
     /// Particles that share a body's net displacement; 0 where it is left as it is.
-    free: Vec<u32>,
-    frames: Vec<ClusterFrame>,
-    positions: Vec<[f32; 3]>,
-    counts: Vec<ClampCounts>,
-    reports: Vec<ContactReport>,
-    clamps: ClampCounts,
-    timings: Timings,
-    steps: u64,
+    pub(crate) free: Vec<u32>,
+    pub(crate) frames: Vec<ClusterFrame>,
+    pub(crate) positions: Vec<[f32; 3]>,
+    pub(crate) counts: Vec<ClampCounts>,
+    pub(crate) reports: Vec<ContactReport>,
+    pub(crate) clamps: ClampCounts,
+    pub(crate) timings: Timings,
+    pub(crate) steps: u64,
 }
 
 impl Solver {
@@ -392,7 +392,7 @@ impl Core {
     }
 }
 
-fn matching(s: &Settings) -> Matching {
+pub(crate) fn matching(s: &Settings) -> Matching {
     Matching {
         passes: s.rotation_iterations,
         beta: match s.shape_matching {
@@ -403,7 +403,13 @@ fn matching(s: &Settings) -> Matching {
 }
 
 /// Mean displacement that averaging would give each body.
-fn net_drift(clusters: &Clusters, bodies: &[BodyInfo], free: &[u32], omega: f32, drift: &mut [Vec3A]) {
+pub(crate) fn net_drift(
+    clusters: &Clusters,
+    bodies: &[BodyInfo],
+    free: &[u32],
+    omega: f32,
+    drift: &mut [Vec3A],
+) {
     for ((body, &free), drift) in bodies.iter().zip(free).zip(drift) {
         if free > 0 {
             let sum = clusters.net[body.clusters.clone()]
@@ -414,11 +420,11 @@ fn net_drift(clusters: &Clusters, bodies: &[BodyInfo], free: &[u32], omega: f32,
     }
 }
 
-fn total_of<'a>(p: &'a [u32], how: &ShapeContact) -> Option<&'a [u32]> {
+pub(crate) fn total_of<'a>(p: &'a [u32], how: &ShapeContact) -> Option<&'a [u32]> {
     how.total.then_some(p)
 }
 
-fn gather(
+pub(crate) fn gather(
     p: &mut Particles,
     clusters: &Clusters,
     solids: &mut Solids,
@@ -464,7 +470,7 @@ fn gather(
     }
 }
 
-fn solve_shapes(p: &mut Particles, solids: &mut Solids, how: &ShapeContact) {
+pub(crate) fn solve_shapes(p: &mut Particles, solids: &mut Solids, how: &ShapeContact) {
     let (view, exchange, pressed) = solids.solver();
     if view.width() == 0 {
         return;
@@ -494,7 +500,7 @@ fn solve_shapes(p: &mut Particles, solids: &mut Solids, how: &ShapeContact) {
 }
 
 /// x* += ω·dx/n for the corrections of a group.
-fn apply(p: &mut Particles, omega: f32, total: bool) {
+pub(crate) fn apply(p: &mut Particles, omega: f32, total: bool) {
     (
         p.predicted.par_chunks_mut(CHUNK),
         p.correction.par_chunks(CHUNK),
@@ -513,7 +519,7 @@ fn apply(p: &mut Particles, omega: f32, total: bool) {
 }
 
 /// x += dx/n and x* += dx/n: overlap goes, the velocity stays.
-fn move_both(p: &mut Particles) {
+pub(crate) fn move_both(p: &mut Particles) {
     (
         p.x.par_chunks_mut(CHUNK),
         p.predicted.par_chunks_mut(CHUNK),
@@ -536,7 +542,7 @@ fn move_both(p: &mut Particles) {
 }
 
 /// Constraints of every particle: its clusters, and the contacts that are violated at the prediction.
-fn count_constraints(
+pub(crate) fn count_constraints(
     p: &mut Particles,
     clusters: &Clusters,
     near: &Neighbours,
@@ -569,7 +575,7 @@ fn count_constraints(
 }
 
 /// Lets particles leave a shape with a share of the speed with which they came.
-fn restitute(p: &mut Particles, solids: &Solids, restitution: f32, h: f32) {
+pub(crate) fn restitute(p: &mut Particles, solids: &Solids, restitution: f32, h: f32) {
     if solids.is_empty() {
         return;
     }

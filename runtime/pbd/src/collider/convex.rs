@@ -46,7 +46,7 @@ impl Convex {
         &self.planes
     }
 
-    pub(super) fn contacts(&self, motion: &Motion, out: &mut LocalContacts) {
+    pub(crate) fn contacts(&self, motion: &Motion, out: &mut LocalContacts) {
         let Motion {
             a,
             b,
@@ -75,7 +75,7 @@ impl Convex {
 }
 
 /// Contact of a box of these half extents, with its exact distance outside.
-pub(super) fn cuboid_contacts(half: Vec3, motion: &Motion, out: &mut LocalContacts) {
+pub(crate) fn cuboid_contacts(half: Vec3, motion: &Motion, out: &mut LocalContacts) {
     let Motion {
         a,
         b,

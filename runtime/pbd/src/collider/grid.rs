@@ -70,7 +70,7 @@ impl SignedDistanceGrid {
         Ok(grid)
     }
 
-    pub(super) fn sample(solid: &MeshSolid, cell_mm: f32, margin_mm: f32) -> Result<Self, PbdError> {
+    pub(crate) fn sample(solid: &MeshSolid, cell_mm: f32, margin_mm: f32) -> Result<Self, PbdError> {
         if !(cell_mm.is_finite() && cell_mm > 0.0 && margin_mm.is_finite() && margin_mm >= 0.0) {
             return Err(PbdError::Setting {
                 name: "cell_mm, margin_mm",
@@ -133,7 +133,7 @@ impl SignedDistanceGrid {
 
     /// Lower bound of the distance between `p` and the surface, from the nearest node.
     #[inline]
-    pub(super) fn distance_bound(&self, p: Vec3) -> f32 {
+    pub(crate) fn distance_bound(&self, p: Vec3) -> f32 {
         let u = (p - self.origin) / self.cell_mm + 0.5;
         let index = |v: f32, n: usize| (v.max(0.0) as usize).min(n - 1);
         let (i, j, k) = (
@@ -145,7 +145,7 @@ impl SignedDistanceGrid {
         self.at(i, j, k).abs() - p.distance(node)
     }
 
-    pub(super) fn bounds(&self) -> (Vec3, Vec3) {
+    pub(crate) fn bounds(&self) -> (Vec3, Vec3) {
         let size = Vec3::new(
             (self.dims[0] - 1) as f32,
             (self.dims[1] - 1) as f32,

@@ -14,18 +14,18 @@ const MOST: usize = 6;
 /// Triangles with everything that contact asks of them.
 #[derive(Clone, Debug)]
 pub(crate) struct MeshSolid {
-    corners: Vec<[Vec3; 3]>,
-    triangles: Vec<[u32; 3]>,
-    normals: Vec<Vec3>,
-    bvh: Bvh,
+    pub(crate) corners: Vec<[Vec3; 3]>,
+    pub(crate) triangles: Vec<[u32; 3]>,
+    pub(crate) normals: Vec<Vec3>,
+    pub(crate) bvh: Bvh,
     /// Across edge k of each triangle; `u32::MAX` at a border.
-    neighbours: Vec<[u32; 3]>,
+    pub(crate) neighbours: Vec<[u32; 3]>,
     /// Triangles around each vertex, in compressed rows.
-    fan_offsets: Vec<u32>,
-    fan: Vec<u32>,
-    vertex_normals: Vec<Vec3>,
-    closed: bool,
-    bounds: (Vec3, Vec3),
+    pub(crate) fan_offsets: Vec<u32>,
+    pub(crate) fan: Vec<u32>,
+    pub(crate) vertex_normals: Vec<Vec3>,
+    pub(crate) closed: bool,
+    pub(crate) bounds: (Vec3, Vec3),
 }
 
 impl MeshSolid {

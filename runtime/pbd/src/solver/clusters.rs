@@ -8,7 +8,7 @@ use wide::f32x8;
 
 /// Clusters of all bodies, bodies one after the other.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Clusters {
+pub(crate) struct Clusters {
     pub offsets: Vec<u32>,
     pub members: Vec<u32>,
     /// Member minus rest centre; w: the member's share 1/n in its particle's average.
@@ -33,7 +33,7 @@ pub(super) struct Clusters {
 
 /// What a particle needs of a cluster: goal minus x is `columns · q + (mean − x)`, scaled by α.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Frame {
+pub(crate) struct Frame {
     /// α times the columns of the matched map; α itself in `mean.w`.
     pub columns: [Vec4; 3],
     pub mean: Vec4,
@@ -41,26 +41,26 @@ pub(super) struct Frame {
 
 /// A membership seen from its particle.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Entry {
+pub(crate) struct Entry {
     pub local: [f32; 3],
     pub cluster: u32,
 }
 
 /// Settings of a matching pass.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Matching {
+pub(crate) struct Matching {
     pub passes: u32,
     /// β of linear matching; `None` for rotations.
     pub beta: Option<f32>,
 }
 
 impl Clusters {
-    pub(super) fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.stiffness.len()
     }
 
     /// Means, rotations and frames of all clusters from the positions `x`.
-    pub(super) fn match_shapes(&mut self, x: &[Vec3A], how: Matching) {
+    pub(crate) fn match_shapes(&mut self, x: &[Vec3A], how: Matching) {
         let passes = if self.warm { how.passes } else { how.passes.max(20) };
         self.warm = true;
         let Self {
@@ -100,7 +100,7 @@ impl Clusters {
     /// Moves every free particle of a chunk by ω times the average correction of its clusters, less the drift of its
     /// body.
     #[inline]
-    pub(super) fn gather(&self, chunk: usize, predicted: &mut [Vec3A], each: &Gather) {
+    pub(crate) fn gather(&self, chunk: usize, predicted: &mut [Vec3A], each: &Gather) {
         let first = chunk * CHUNK;
         for (k, x) in predicted.iter_mut().enumerate() {
             let i = first + k;
@@ -134,7 +134,7 @@ impl Clusters {
 
 /// What gathering needs besides the clusters.
 #[derive(Clone, Copy)]
-pub(super) struct Gather<'a> {
+pub(crate) struct Gather<'a> {
     pub inverse_mass: &'a [f32],
     pub body: &'a [u16],
     /// Displacement that each body must not get, per body.
@@ -233,7 +233,7 @@ impl Rest<'_> {
 }
 
 /// Cube root by Newton steps: the same bits on every platform, unlike libm's.
-pub(super) fn cube_root(v: f32) -> f32 {
+pub(crate) fn cube_root(v: f32) -> f32 {
     if v <= 0.0 || !v.is_finite() {
         return v;
     }
@@ -246,6 +246,6 @@ pub(super) fn cube_root(v: f32) -> f32 {
 }
 
 /// Rotation of cluster `c`.
-pub(super) fn rotation_of(rotation: &[QuatX8], c: usize) -> Quat {
+pub(crate) fn rotation_of(rotation: &[QuatX8], c: usize) -> Quat {
     rotation[c / CLUSTER_LANES].lane(c % CLUSTER_LANES)
 }

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 /// Contact range of a body.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Range {
+pub(crate) struct Range {
     /// Half of the distance at which two of its particles touch.
     pub half_contact: f32,
     /// Half of the margin.
@@ -19,32 +19,32 @@ pub(super) struct Range {
 
 /// Lists of near particles that live for several substeps, and the candidates of the present one.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Neighbours {
-    grid: PointGrid,
+pub(crate) struct Neighbours {
+    pub(crate) grid: PointGrid,
     /// Predicted positions when the lists were made.
-    base: Vec<Vec3A>,
+    pub(crate) base: Vec<Vec3A>,
     /// Fixed-width rows of particles within range and skin, ascending.
-    near: Vec<u32>,
-    near_count: Vec<u32>,
-    near_width: usize,
+    pub(crate) near: Vec<u32>,
+    pub(crate) near_count: Vec<u32>,
+    pub(crate) near_width: usize,
     /// Fixed-width rows of candidates for contact, ascending.
-    candidates: Vec<u32>,
+    pub(crate) candidates: Vec<u32>,
     /// Share of each candidate's correction that the row's particle gets.
-    shares: Vec<f32>,
-    candidate_count: Vec<u32>,
-    width: usize,
+    pub(crate) shares: Vec<f32>,
+    pub(crate) candidate_count: Vec<u32>,
+    pub(crate) width: usize,
     /// Whether a chunk holds any candidate, and whether a row of `near` was full.
-    busy: Vec<bool>,
-    full: Vec<bool>,
-    moved2: Vec<f32>,
-    stale: bool,
-    pub any: bool,
-    pub rebuilds: u64,
+    pub(crate) busy: Vec<bool>,
+    pub(crate) full: Vec<bool>,
+    pub(crate) moved2: Vec<f32>,
+    pub(crate) stale: bool,
+    pub(crate) any: bool,
+    pub(crate) rebuilds: u64,
 }
 
 /// Settings of particle contacts.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct PairContact<'a> {
+pub(crate) struct PairContact<'a> {
     pub ranges: &'a [Range],
     pub rest_filter: bool,
     /// Divide each pair's corrections by one number for both, so that they cancel.
@@ -62,7 +62,7 @@ impl PairContact<'_> {
 }
 
 impl Neighbours {
-    pub(super) fn new(particles: usize, width: usize) -> Self {
+    pub(crate) fn new(particles: usize, width: usize) -> Self {
         let near_width = 2 * width;
         let chunks = particles.div_ceil(CHUNK);
         Self {
@@ -85,16 +85,16 @@ impl Neighbours {
     }
 
     /// Forgets the lists.
-    pub(super) fn invalidate(&mut self) {
+    pub(crate) fn invalidate(&mut self) {
         self.stale = true;
     }
 
-    pub(super) fn row(&self, i: usize) -> &[u32] {
+    pub(crate) fn row(&self, i: usize) -> &[u32] {
         &self.candidates[i * self.width..i * self.width + self.candidate_count[i] as usize]
     }
 
     /// Lists of near particles, where they are out of date, and candidates within range at the predicted positions.
-    pub(super) fn find(&mut self, p: &Particles, how: &PairContact, counts: &mut [ClampCounts]) {
+    pub(crate) fn find(&mut self, p: &Particles, how: &PairContact, counts: &mut [ClampCounts]) {
         let contact = how.largest(|r| r.half_contact);
         self.any = false;
         if contact <= 0.0 || p.x.is_empty() {
@@ -242,7 +242,7 @@ impl Neighbours {
 
     /// Sums the corrections of particle contacts into `p.correction`, with their counts: at the start positions for
     /// stabilisation, else at the predicted ones, with friction against the displacement in between.
-    pub(super) fn correct(&self, p: &mut Particles, how: &PairContact, at_start: bool) {
+    pub(crate) fn correct(&self, p: &mut Particles, how: &PairContact, at_start: bool) {
         let Particles {
             x,
             predicted,
@@ -328,7 +328,7 @@ fn arbitrary_axis(i: usize, j: usize) -> Vec3A {
 
 /// Tangential displacement that Coulomb friction takes back: all of it below static·depth, else dynamic·depth of it.
 #[inline]
-pub(super) fn friction(u: Vec3A, normal: Vec3A, depth: f32, fixed: f32, sliding: f32) -> Vec3A {
+pub(crate) fn friction(u: Vec3A, normal: Vec3A, depth: f32, fixed: f32, sliding: f32) -> Vec3A {
     let tangential = u - normal * u.dot(normal);
     let length = tangential.length();
     if length < fixed * depth {

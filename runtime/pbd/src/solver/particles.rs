@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 /// State of all particles, bodies one after the other.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Particles {
+pub(crate) struct Particles {
     /// Positions at the start of the substep, after stabilisation.
     pub x: Vec<Vec3A>,
     /// Predicted, then iterated positions.
@@ -28,7 +28,7 @@ pub(super) struct Particles {
 
 /// Constants of a substep.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Integration {
+pub(crate) struct Integration {
     pub h: f32,
     pub gravity: Vec3A,
     pub drag_factor: f32,
@@ -54,7 +54,7 @@ pub struct ClampCounts {
 }
 
 impl ClampCounts {
-    pub(super) fn add(&mut self, o: &Self) {
+    pub(crate) fn add(&mut self, o: &Self) {
         self.speed += o.speed;
         self.acceleration += o.acceleration;
         self.not_finite += o.not_finite;
@@ -65,7 +65,7 @@ impl ClampCounts {
 
 impl Particles {
     /// v += h·g; v *= drag; x* = x + h·v. Returns nothing; pinned particles stay.
-    pub(super) fn predict(&mut self, c: &Integration) {
+    pub(crate) fn predict(&mut self, c: &Integration) {
         let down = c.gravity.normalize_or_zero();
         (
             self.predicted.par_chunks_mut(CHUNK),
@@ -95,7 +95,7 @@ impl Particles {
     }
 
     /// v = (x* − x)/h, clamps, x = x*.
-    pub(super) fn finish(&mut self, c: &Integration, counts: &mut [ClampCounts]) {
+    pub(crate) fn finish(&mut self, c: &Integration, counts: &mut [ClampCounts]) {
         (
             self.predicted.par_chunks_mut(CHUNK),
             self.velocity.par_chunks_mut(CHUNK),

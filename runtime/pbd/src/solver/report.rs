@@ -60,7 +60,7 @@ pub struct ContactReport {
 impl ContactReport {
     /// `h_dt_s2`: substep times step (times the drag factor). A displacement over h is a velocity, mass times that over
     /// dt a force.
-    pub(super) fn update(&mut self, e: &Exchange, h_dt_s2: f64, keep: f64) {
+    pub(crate) fn update(&mut self, e: &Exchange, h_dt_s2: f64, keep: f64) {
         // g·mm/s² is 1e-6 N.
         let scale = 1e-6 / h_dt_s2;
         let force = -e.push * scale;

@@ -41,7 +41,7 @@ impl Solver {
 }
 
 impl Core {
-    fn new(scene: &Scene, s: &Settings) -> Result<Self, PbdError> {
+    pub(crate) fn new(scene: &Scene, s: &Settings) -> Result<Self, PbdError> {
         let count = |what, found: usize, most: usize| {
             if found > most {
                 Err(PbdError::TooMany { what, found, most })

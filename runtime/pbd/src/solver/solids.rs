@@ -9,11 +9,11 @@ use glam::{DVec3, Mat3A, Quat, Vec3, Vec3A};
 use rayon::prelude::*;
 
 /// Contact planes of a particle, at most.
-pub(super) const SLOTS: usize = 6;
+pub(crate) const SLOTS: usize = 6;
 
 /// A plane that a particle must stay in front of during the substep.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct PlaneContact {
+pub(crate) struct PlaneContact {
     pub normal: Vec3,
     /// normal·x of a particle that just touches: the collision distance is included.
     pub offset: f32,
@@ -24,33 +24,33 @@ pub(super) struct PlaneContact {
 
 /// A collider in the solver.
 #[derive(Clone, Debug)]
-pub(super) struct Solid {
-    pub name: String,
-    pub shape: PreparedShape,
-    pub moving: bool,
-    pub friction: f32,
-    pub static_friction: f32,
-    pub distance_mm: Option<f32>,
+pub(crate) struct Solid {
+    pub(crate) name: String,
+    pub(crate) shape: PreparedShape,
+    pub(crate) moving: bool,
+    pub(crate) friction: f32,
+    pub(crate) static_friction: f32,
+    pub(crate) distance_mm: Option<f32>,
     /// Pose at the end of the last step, and at the end of the next.
-    pub from: Pose,
-    pub to: Pose,
-    way: Way,
+    pub(crate) from: Pose,
+    pub(crate) to: Pose,
+    pub(crate) way: Way,
 }
 
 /// Poses of a solid over one substep.
 #[derive(Clone, Copy, Debug, Default)]
-struct Way {
-    from: Pose,
-    to: Pose,
-    turn_back: [Mat3A; 2],
+pub(crate) struct Way {
+    pub(crate) from: Pose,
+    pub(crate) to: Pose,
+    pub(crate) turn_back: [Mat3A; 2],
     /// World box of the shape over the substep.
-    lo: Vec3A,
-    hi: Vec3A,
+    pub(crate) lo: Vec3A,
+    pub(crate) hi: Vec3A,
 }
 
 /// What one chunk of particles gave to one solid.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Exchange {
+pub(crate) struct Exchange {
     /// Σ mass · displacement of particles, g·mm.
     pub push: DVec3,
     /// Σ (position − origin of the solid) × the same.
@@ -64,22 +64,22 @@ pub(super) struct Exchange {
 
 /// All solids and the contacts of the present substep.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Solids {
-    pub list: Vec<Solid>,
+pub(crate) struct Solids {
+    pub(crate) list: Vec<Solid>,
     /// Indices of solids in the order in which they claim slots.
-    order: Vec<usize>,
-    planes: Vec<PlaneContact>,
-    count: Vec<u8>,
+    pub(crate) order: Vec<usize>,
+    pub(crate) planes: Vec<PlaneContact>,
+    pub(crate) count: Vec<u8>,
     /// Slots that pushed in this substep, a bit each.
-    pressed: Vec<u8>,
+    pub(crate) pressed: Vec<u8>,
     /// Per chunk, per solid.
-    pub exchange: Vec<Exchange>,
-    pub busy: Vec<bool>,
+    pub(crate) exchange: Vec<Exchange>,
+    pub(crate) busy: Vec<bool>,
 }
 
 /// Constants of shape contacts.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct ShapeContact<'a> {
+pub(crate) struct ShapeContact<'a> {
     /// Collision distance by body, mm.
     pub distance: &'a [f32],
     /// Margin by body, mm.
@@ -148,7 +148,7 @@ impl Way {
 }
 
 impl Solids {
-    pub(super) fn new(colliders: &[Collider], s: &Settings, particles: usize) -> Result<Self, PbdError> {
+    pub(crate) fn new(colliders: &[Collider], s: &Settings, particles: usize) -> Result<Self, PbdError> {
         let list = colliders
             .iter()
             .map(|c| Solid::new(c, s))
@@ -169,7 +169,7 @@ impl Solids {
     }
 
     /// Sets the poses over substep `q` of `substeps`.
-    pub(super) fn advance(&mut self, q: u32, substeps: u32) {
+    pub(crate) fn advance(&mut self, q: u32, substeps: u32) {
         let at = |k: u32| f64::from(k) / f64::from(substeps);
         for s in &mut self.list {
             let from = s.from.interpolate(&s.to, at(q));
@@ -179,14 +179,14 @@ impl Solids {
     }
 
     /// The step is over: the next one starts from the present poses.
-    pub(super) fn settle(&mut self) {
+    pub(crate) fn settle(&mut self) {
         for s in &mut self.list {
             s.from = s.to;
         }
     }
 
     /// Contact planes of every particle on its way from x to its prediction.
-    pub(super) fn find(&mut self, p: &Particles, how: &ShapeContact, counts: &mut [ClampCounts]) {
+    pub(crate) fn find(&mut self, p: &Particles, how: &ShapeContact, counts: &mut [ClampCounts]) {
         if self.list.is_empty() {
             return;
         }
@@ -269,17 +269,17 @@ impl Solids {
     }
 
     /// Contact planes of particle `i`.
-    pub(super) fn row(&self, i: usize) -> &[PlaneContact] {
+    pub(crate) fn row(&self, i: usize) -> &[PlaneContact] {
         &self.planes[i * SLOTS..i * SLOTS + usize::from(self.count[i])]
     }
 
-    pub(super) fn is_empty(&self) -> bool {
+    pub(crate) fn is_empty(&self) -> bool {
         self.list.is_empty()
     }
 
     /// Adds the corrections of shape contacts at the start positions to `p.correction`, with their counts: averaged
     /// together with those of particle contacts, or on their own beside them where those are divided already.
-    pub(super) fn correct_start(&self, p: &mut Particles, apart: bool) {
+    pub(crate) fn correct_start(&self, p: &mut Particles, apart: bool) {
         if self.list.is_empty() {
             return;
         }
@@ -324,7 +324,7 @@ impl Solids {
     }
 
     /// A view that solves the contacts of one chunk of particles after another.
-    pub(super) fn solver(&mut self) -> (SolidView<'_>, &mut [Exchange], &mut [u8]) {
+    pub(crate) fn solver(&mut self) -> (SolidView<'_>, &mut [Exchange], &mut [u8]) {
         let width = self.list.len();
         let view = SolidView {
             list: &self.list,
@@ -337,7 +337,7 @@ impl Solids {
     }
 
     /// Adds contacts, area and depth of the last substep to the exchange.
-    pub(super) fn tally(&mut self, p: &Particles) {
+    pub(crate) fn tally(&mut self, p: &Particles) {
         let width = self.list.len();
         if width == 0 {
             return;
@@ -370,7 +370,7 @@ impl Solids {
 
 /// Contacts as the solving passes see them.
 #[derive(Clone, Copy)]
-pub(super) struct SolidView<'a> {
+pub(crate) struct SolidView<'a> {
     list: &'a [Solid],
     planes: &'a [PlaneContact],
     count: &'a [u8],
@@ -379,12 +379,12 @@ pub(super) struct SolidView<'a> {
 }
 
 impl SolidView<'_> {
-    pub(super) fn width(&self) -> usize {
+    pub(crate) fn width(&self) -> usize {
         self.width
     }
 
     /// Moves the particles of a chunk out of their contact planes, one plane after the other, with friction.
-    pub(super) fn solve(
+    pub(crate) fn solve(
         &self,
         chunk: usize,
         predicted: &mut [Vec3A],
@@ -430,7 +430,7 @@ impl SolidView<'_> {
 
 /// Particles at the start of the substep, as contacts see them.
 #[derive(Clone, Copy)]
-pub(super) struct Start<'a> {
+pub(crate) struct Start<'a> {
     pub x: &'a [Vec3A],
     pub body: &'a [u16],
     pub total_count: Option<&'a [u32]>,

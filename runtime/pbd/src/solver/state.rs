@@ -27,6 +27,53 @@ pub struct SolverState {
     pub warm: bool,
 }
 
+impl SolverState {
+    /// Whether it is the state of a scene of this size, and finite.
+    ///
+    /// # Errors
+    /// [`PbdError::State`] where it is not.
+    pub(crate) fn check(&self, particles: usize, clusters: usize, solids: usize) -> Result<(), PbdError> {
+        let counts = |p: usize, v: usize, r: usize, m: usize, s: usize, t: usize, f: usize| {
+            format!(
+                "{p} positions, {v} velocities, {r} rotations, {m} means, {s} poses, {t} targets, {f} forces"
+            )
+        };
+        let found = counts(
+            self.positions.len(),
+            self.velocities.len(),
+            self.rotations.len(),
+            self.means.len(),
+            self.poses.len(),
+            self.targets.len(),
+            self.smooth_forces_n.len(),
+        );
+        let expected = counts(particles, particles, clusters, clusters, solids, solids, solids);
+        let finite = self
+            .positions
+            .iter()
+            .chain(&self.velocities)
+            .chain(&self.means)
+            .flatten()
+            .chain(self.rotations.iter().flatten())
+            .chain(
+                self.poses
+                    .iter()
+                    .chain(&self.targets)
+                    .flat_map(|(q, t)| q.iter().chain(t)),
+            )
+            .all(|v| v.is_finite());
+        if found != expected || !finite {
+            let found = if finite {
+                found
+            } else {
+                format!("{found}, some not finite")
+            };
+            return Err(PbdError::State { found, expected });
+        }
+        Ok(())
+    }
+}
+
 impl Solver {
     /// The present state.
     pub fn save(&self) -> SolverState {
@@ -54,45 +101,7 @@ impl Solver {
     /// then as before.
     pub fn restore(&mut self, state: &SolverState) -> Result<(), PbdError> {
         let c = &mut self.core;
-        let counts = |p: usize, v: usize, r: usize, m: usize, s: usize, t: usize, f: usize| {
-            format!(
-                "{p} positions, {v} velocities, {r} rotations, {m} means, {s} poses, {t} targets, {f} forces"
-            )
-        };
-        let found = counts(
-            state.positions.len(),
-            state.velocities.len(),
-            state.rotations.len(),
-            state.means.len(),
-            state.poses.len(),
-            state.targets.len(),
-            state.smooth_forces_n.len(),
-        );
-        let (n, k, s) = (c.particles.x.len(), c.clusters.len(), c.solids.list.len());
-        let expected = counts(n, n, k, k, s, s, s);
-        let finite = state
-            .positions
-            .iter()
-            .chain(&state.velocities)
-            .chain(&state.means)
-            .flatten()
-            .chain(state.rotations.iter().flatten())
-            .chain(
-                state
-                    .poses
-                    .iter()
-                    .chain(&state.targets)
-                    .flat_map(|(q, t)| q.iter().chain(t)),
-            )
-            .all(|v| v.is_finite());
-        if found != expected || !finite {
-            let found = if finite {
-                found
-            } else {
-                format!("{found}, some not finite")
-            };
-            return Err(PbdError::State { found, expected });
-        }
+        state.check(c.particles.x.len(), c.clusters.len(), c.solids.list.len())?;
         c.steps = state.steps;
         for (x, &v) in c.particles.x.iter_mut().zip(&state.positions) {
             *x = v.into();
