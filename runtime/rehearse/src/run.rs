@@ -131,9 +131,8 @@ impl Writer {
                 self.frames += 1;
                 self.waiting
                     .push((format!("frames/frame-{step:05}.png"), picture));
-                if let (true, Some(image)) = (record.images, session.image()) {
-                    self.waiting
-                        .push((format!("images/image-{step:05}.png"), image.picture()));
+                if record.images {
+                    self.image(session, step)?;
                 }
             }
         }
@@ -142,6 +141,18 @@ impl Writer {
         }
         if self.waiting.len() >= BATCH || last {
             self.flush()?;
+        }
+        Ok(())
+    }
+
+    fn image(&mut self, session: &mut Session, step: u32) -> Result<(), RehearseError> {
+        let name = format!("images/image-{step:05}");
+        if let Some(image) = session.image() {
+            self.waiting.push((format!("{name}.png"), image.picture()));
+        }
+        if let Some((nifti, metadata)) = session.image_files()? {
+            self.folder.write(&format!("{name}.nii"), &nifti)?;
+            self.folder.write(&format!("{name}.json"), metadata.as_bytes())?;
         }
         Ok(())
     }
@@ -199,7 +210,10 @@ impl Writer {
         if self.frames > 0 {
             files.push(("frames/".into(), format!("{} pictures", self.frames)));
             if record.images && session.scene().image.is_some() {
-                files.push(("images/".into(), "ultrasound images alone".into()));
+                files.push((
+                    "images/".into(),
+                    "ultrasound images alone: PNG, NIfTI that lies in place in 3D Slicer, metadata".into(),
+                ));
             }
         }
         let mut preview = Vec::new();

@@ -4,6 +4,7 @@ use crate::output::{PointCloud, VtuArray};
 use crate::render::{Camera, FrameText, GreyImage, Mesh, Picture, SceneGeometry, draw_frame};
 use crate::trace::{StepRow, UNCALIBRATED_SHORT};
 use glam::{DVec3, Vec3};
+use palpate_ultrasound::Level;
 
 impl Session {
     /// The view of the whole session: organ at rest, supports, instruments where they start. Looks from the scene's `view.from`,
@@ -83,7 +84,7 @@ impl Session {
             + 0.5 * grid.pixel_mm;
         let inside: Vec<usize> = (0..grid.width_px).filter(|&c| centre(c).abs() <= half).collect();
         let (first, width) = (inside.first().copied()?, inside.len());
-        let grey = imaging
+        let grey = self
             .grey
             .chunks_exact(grid.width_px)
             .flat_map(|row| &row[first..first + width])
@@ -118,7 +119,11 @@ impl Session {
         let mut out = FrameText {
             title: self.scene.name.clone(),
             image: match &self.imaging {
-                Some(i) => format!("{}, level 0: scan intensities", self.tools[i.tool].name),
+                Some(i) => format!(
+                    "{}: {}",
+                    self.tools[i.tool].name,
+                    level_name(i.scanner.settings().level)
+                ),
                 None => String::new(),
             },
             ..FrameText::default()
@@ -305,5 +310,14 @@ fn placed(mesh: &Mesh, pose: RigidPose) -> Mesh {
             .collect(),
         normals: mesh.normals.iter().map(turn).collect(),
         triangles: mesh.triangles.clone(),
+    }
+}
+
+fn level_name(level: Level) -> &'static str {
+    match level {
+        Level::Slice => "level 0, scan intensities",
+        Level::Grey => "level 1, grey map and depth gain",
+        Level::Rays => "level 2, rays",
+        Level::BMode => "level 3, synthetic B-mode",
     }
 }

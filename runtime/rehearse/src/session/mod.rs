@@ -17,7 +17,7 @@ use crate::trace::{Contact, StageRow, StepRow, StepTimes, Trace};
 use glam::{DVec3, Vec3};
 use organ::Organ;
 use palpate_pbd::{Collider, Pose, SoftBody, Solver, TriangleMesh};
-use palpate_ultrasound::{ProbePose, Scanner};
+use palpate_ultrasound::{Image, ProbePose, Scanner};
 use std::time::Instant;
 use tool::{Form, Target, first_contact, solver_pose, start_pose};
 
@@ -36,8 +36,21 @@ struct Tool {
 struct Imaging {
     scanner: Scanner,
     tool: usize,
-    grey: Vec<u8>,
     inverted_tets: u32,
+}
+
+impl Imaging {
+    fn take(&mut self, tools: &[Tool], organs: &[Organ], origin: DVec3) -> Result<Image<'_>, RehearseError> {
+        let pose = tools[self.tool].now;
+        let unit = |v: DVec3| (pose.rotation * v).to_array();
+        let probe = ProbePose::looking(
+            (pose.position + origin).to_array(),
+            unit(DVec3::Z),
+            unit(DVec3::X),
+        )?;
+        let deformed: Vec<&[[f32; 3]]> = organs.iter().map(|o| o.embedding_local.as_slice()).collect();
+        Ok(self.scanner.image(&deformed, &probe)?)
+    }
 }
 
 /// How large a session's problem is, over all organs.
@@ -63,6 +76,8 @@ pub struct Session {
     supports: Vec<Mesh>,
     tools: Vec<Tool>,
     imaging: Option<Imaging>,
+    /// Pixels of the last image.
+    grey: Vec<u8>,
     origin: DVec3,
     contact_mm: f64,
     size: SessionSize,
@@ -157,6 +172,7 @@ impl Session {
             supports: supports.meshes,
             tools,
             imaging,
+            grey: Vec::new(),
             origin,
             contact_mm,
             size,
@@ -319,22 +335,34 @@ impl Session {
         Ok(&self.trace.steps[self.trace.steps.len() - 1])
     }
 
+    /// The image of the deformed organs at the transducer's pose.
     fn scan(&mut self) -> Result<(), RehearseError> {
         let Some(imaging) = &mut self.imaging else {
             return Ok(());
         };
-        let pose = self.tools[imaging.tool].now;
-        let unit = |v: DVec3| (pose.rotation * v).to_array();
-        let probe = ProbePose::looking(
-            (pose.position + self.origin).to_array(),
-            unit(DVec3::Z),
-            unit(DVec3::X),
-        )?;
-        let deformed: Vec<&[[f32; 3]]> = self.organs.iter().map(|o| o.embedding_local.as_slice()).collect();
-        let slice = imaging.scanner.slice(&deformed, &probe)?;
-        imaging.grey = slice.grey();
-        imaging.inverted_tets = u32::try_from(slice.inverted_tets()).unwrap_or(u32::MAX);
+        let image = imaging.take(&self.tools, &self.organs, self.origin)?;
+        let inverted = u32::try_from(image.inverted_tets()).unwrap_or(u32::MAX);
+        let pixels = image.pixels();
+        // The scanner keeps its buffer; pictures are made later.
+        let mut grey = std::mem::take(&mut self.grey);
+        grey.clear();
+        grey.extend_from_slice(pixels);
+        self.grey = grey;
+        imaging.inverted_tets = inverted;
         Ok(())
+    }
+
+    /// The image after the last step as NIfTI (in place in the patient) and its metadata as JSON; none where the scene asks
+    /// for none.
+    ///
+    /// # Errors
+    /// The image's.
+    pub fn image_files(&mut self) -> Result<Option<(Vec<u8>, String)>, RehearseError> {
+        let Some(imaging) = &mut self.imaging else {
+            return Ok(None);
+        };
+        let image = imaging.take(&self.tools, &self.organs, self.origin)?;
+        Ok(Some((image.nifti(), image.metadata().json()?)))
     }
 
     fn measure(&self, image_s: f64) -> StepRow {
@@ -480,9 +508,8 @@ fn imaging(scene: &Scene, packages: &[Loaded]) -> Result<Option<Imaging>, Rehear
         .map(|p| palpate_ultrasound::Organ::new(&p.model, &image.tissues))
         .collect::<Result<Vec<_>, _>>()?;
     Ok(Some(Imaging {
-        scanner: Scanner::new(organs, image.probe, image.settings.clone())?,
+        scanner: Scanner::new(organs, &image.tissues, image.probe, image.settings.clone())?,
         tool,
-        grey: Vec::new(),
         inverted_tets: 0,
     }))
 }
