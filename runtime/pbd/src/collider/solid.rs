@@ -134,26 +134,34 @@ impl MeshSolid {
         self.nearest_triangle(p).map_or(f32::MAX, |(_, d)| d)
     }
 
-    /// Whether no triangle at the edge or vertex of `q` is nearer to `p` than `q` itself: then `p` lies in the
-    /// Voronoi region of that edge or vertex.
+    /// Whether `p` lies in the Voronoi region of the edge or vertex of triangle `t` that is nearest to it on `t`: no
+    /// other triangle there is nearer then.
     fn owns(&self, t: usize, q: &Nearest, p: Vec3) -> bool {
-        let d2 = q.point.distance_squared(p);
-        let nearer = |u: u32| {
-            closest_on_triangle(p, self.corners[u as usize])
-                .point
-                .distance_squared(p)
-                < d2 * (1.0 - 1e-4)
-        };
         match q.feature {
             Feature::Face => true,
             Feature::Edge(k) => {
-                let other = self.neighbours[t][k as usize];
-                other == u32::MAX || !nearer(other)
+                let k = usize::from(k);
+                let Some(&n) = self.normals.get(self.neighbours[t][k] as usize) else {
+                    return true;
+                };
+                let a = self.corners[t][k];
+                let edge = self.corners[t][(k + 1) % 3] - a;
+                // The neighbour runs the edge backwards: n × (−edge) points into it.
+                let into = edge.cross(n);
+                into.dot(p - a) <= 1e-4 * into.length()
             }
             Feature::Corner(k) => {
-                let v = self.triangles[t][k as usize] as usize;
-                let fan = self.fan_offsets[v] as usize..self.fan_offsets[v + 1] as usize;
-                !self.fan[fan].iter().any(|&u| u as usize != t && nearer(u))
+                let v = self.triangles[t][k as usize];
+                let fan = self.fan_offsets[v as usize] as usize..self.fan_offsets[v as usize + 1] as usize;
+                let away = p - self.corners[t][k as usize];
+                self.fan[fan].iter().all(|&u| {
+                    let u = u as usize;
+                    let at = self.triangles[u].iter().position(|&w| w == v).unwrap_or(0);
+                    let c = &self.corners[u];
+                    let next = c[(at + 1) % 3] - c[at];
+                    let last = c[(at + 2) % 3] - c[at];
+                    away.dot(next) <= 1e-4 * next.length() && away.dot(last) <= 1e-4 * last.length()
+                })
             }
         }
     }
@@ -204,7 +212,8 @@ impl MeshSolid {
                     return;
                 }
             }
-            if sa < -0.5 * d {
+            // No point of the triangle is nearer than its plane.
+            if sa < -0.5 * d || sb.abs() >= reach {
                 return;
             }
             let q = closest_on_triangle(b, corners);

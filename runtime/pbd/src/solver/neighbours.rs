@@ -5,6 +5,10 @@ use super::particles::{ClampCounts, Particles};
 use crate::grid::PointGrid;
 use glam::Vec3A;
 use rayon::prelude::*;
+use wide::f32x8;
+
+/// Neighbours that are treated at once.
+const LANES: usize = 8;
 
 /// Contact range of a body.
 #[derive(Clone, Copy, Debug, Default)]
@@ -276,47 +280,105 @@ impl Neighbours {
                     if n == 0 || inverse_mass[i] == 0.0 {
                         continue;
                     }
-                    let here = at[i];
-                    let moved = here - start[i];
-                    let (mut sum, mut touched) = (Vec3A::ZERO, 0);
-                    let row = self.candidates[from..from + n]
-                        .iter()
-                        .zip(&self.shares[from..from + n]);
-                    for (&j, &share) in row {
-                        let j = j as usize;
-                        let contact = match uniform {
+                    let side = Side {
+                        i,
+                        at,
+                        start,
+                        contact: |j: usize| match uniform {
                             Some(contact) => contact,
                             None => {
                                 let (a, b) = (usize::from(body[i]), usize::from(body[j]));
                                 how.ranges[a].half_contact + how.ranges[b].half_contact
                             }
-                        };
-                        let apart = here - at[j];
-                        let d2 = apart.length_squared();
-                        if d2 >= contact * contact || (at_start && !how.stabilise_self && body[i] == body[j])
-                        {
-                            continue;
-                        }
-                        let distance = d2.sqrt();
-                        let normal = if distance > 1e-6 {
-                            apart / distance
+                        },
+                        skip: |j: usize| at_start && !how.stabilise_self && body[i] == body[j],
+                        friction: if at_start {
+                            (0.0, 0.0)
                         } else {
-                            arbitrary_axis(i, j)
-                        };
-                        let depth = contact - distance;
-                        let mut dx = normal * depth;
-                        if !at_start {
-                            let u = moved - (at[j] - start[j]);
-                            dx -= friction(u, normal, depth, how.static_friction, how.friction);
-                        }
-                        sum += dx * share;
-                        touched += 1;
+                            (how.static_friction, how.friction)
+                        },
+                    };
+                    let (mut sum, mut touched) = (Vec3A::ZERO, 0);
+                    let row = &self.candidates[from..from + n];
+                    let shares = &self.shares[from..from + n];
+                    for (row, shares) in row.chunks(LANES).zip(shares.chunks(LANES)) {
+                        let (dx, n) = side.push(row, shares);
+                        sum += dx;
+                        touched += n;
                     }
                     correction[k] = sum;
                     // Symmetric shares are divided already.
                     count[k] = if how.symmetric { touched.min(1) } else { touched };
                 }
             });
+    }
+}
+
+/// One particle among its neighbours.
+struct Side<'a, C, S> {
+    i: usize,
+    at: &'a [Vec3A],
+    start: &'a [Vec3A],
+    contact: C,
+    skip: S,
+    /// Static and sliding coefficient.
+    friction: (f32, f32),
+}
+
+impl<C: Fn(usize) -> f32, S: Fn(usize) -> bool> Side<'_, C, S> {
+    /// Sum of the corrections by up to eight neighbours at once, and how many of them touch.
+    #[inline]
+    fn push(&self, row: &[u32], shares: &[f32]) -> (Vec3A, u32) {
+        let here = self.at[self.i];
+        let moved = here - self.start[self.i];
+        let mut apart = [[0f32; LANES]; 3];
+        let mut slid = [[0f32; LANES]; 3];
+        let mut contact = [0f32; LANES];
+        let mut share = [0f32; LANES];
+        let mut any = false;
+        for (lane, (&j, &s)) in row.iter().zip(shares).enumerate() {
+            let j = j as usize;
+            let there = self.at[j];
+            let mut d = here - there;
+            let d2 = d.length_squared();
+            contact[lane] = (self.contact)(j);
+            if d2 >= contact[lane] * contact[lane] || (self.skip)(j) {
+                contact[lane] = 0.0;
+                continue;
+            }
+            if d2 < 1e-12 {
+                // Short enough not to shorten the depth.
+                d = arbitrary_axis(self.i, j) * 1e-6;
+            }
+            any = true;
+            share[lane] = s;
+            let u = moved - (there - self.start[j]);
+            for (k, (d, u)) in d.to_array().into_iter().zip(u.to_array()).enumerate() {
+                apart[k][lane] = d;
+                slid[k][lane] = u;
+            }
+        }
+        if !any {
+            return (Vec3A::ZERO, 0);
+        }
+        let touched = contact.iter().filter(|c| **c > 0.0).count() as u32;
+        let zero = f32x8::splat(0.0);
+        let [x, y, z] = apart.map(f32x8::new);
+        let [ux, uy, uz] = slid.map(f32x8::new);
+        let distance = (x * x + y * y + z * z).sqrt();
+        let inverse = f32x8::splat(1.0) / distance.max(f32x8::splat(1e-12));
+        let (nx, ny, nz) = (x * inverse, y * inverse, z * inverse);
+        let depth = (f32x8::new(contact) - distance).max(zero);
+        let along = ux * nx + uy * ny + uz * nz;
+        let (tx, ty, tz) = (ux - nx * along, uy - ny * along, uz - nz * along);
+        let length = (tx * tx + ty * ty + tz * tz).sqrt();
+        let (fixed, sliding) = self.friction;
+        let slip = (depth * f32x8::splat(sliding) / length.max(f32x8::splat(1e-12))).min(f32x8::splat(1.0));
+        let stick = length.simd_lt(depth * f32x8::splat(fixed));
+        let back = stick.select(f32x8::splat(1.0), slip);
+        let share = f32x8::new(share);
+        let sum = |n: f32x8, t: f32x8| ((n * depth - t * back) * share).to_array().iter().sum::<f32>();
+        (Vec3A::new(sum(nx, tx), sum(ny, ty), sum(nz, tz)), touched)
     }
 }
 
