@@ -3,6 +3,8 @@
 mod convex;
 mod grid;
 mod solid;
+#[cfg(test)]
+mod tests;
 
 pub use convex::Convex;
 pub use grid::SignedDistanceGrid;

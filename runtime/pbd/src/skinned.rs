@@ -186,3 +186,49 @@ impl Tied {
         sum.normalize_or(n)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The page's case: four centres, four frames, weights 1/d².
+    #[test]
+    fn blends_to_the_printed_digits() {
+        let centres = [
+            [0.0, 0.0, 0.0],
+            [10.0, 0.0, 0.0],
+            [0.0, 10.0, 0.0],
+            [0.0, 0.0, 10.0],
+        ];
+        let skin = Skin {
+            indices: vec![[0, 1, 2, 3]],
+            weights: vec![[0.626_022, 0.162_302_85, 0.118_437_28, 0.093_237_884]],
+        };
+        let points = SkinnedPoints::new(&[[3.0, 2.0, 1.0]], &skin, &centres).unwrap();
+        let frame = |rotation: Quat, translation: [f32; 3]| ClusterFrame {
+            rotation: rotation.to_array(),
+            translation,
+        };
+        let frames = [
+            frame(Quat::IDENTITY, [0.0, 0.0, 0.0]),
+            frame(Quat::from_rotation_z(30f32.to_radians()), [11.0, 0.0, 0.0]),
+            frame(Quat::from_rotation_x(-20f32.to_radians()), [0.0, 10.0, 2.0]),
+            frame(Quat::from_rotation_y(10f32.to_radians()), [0.0, -1.0, 10.0]),
+        ];
+        let mut out = [[0f32; 3]];
+        points.positions(&frames, &mut out);
+        let want = [3.002_246_4, 1.392_862_3, 1.517_972_1];
+        for (got, want) in out[0].iter().zip(want) {
+            assert!((got - want).abs() < 3e-6, "{out:?}");
+        }
+    }
+
+    #[test]
+    fn refuses_clusters_that_are_not_there() {
+        let skin = Skin {
+            indices: vec![[0, 7, 0, 0]],
+            weights: vec![[0.5, 0.5, 0.0, 0.0]],
+        };
+        assert!(SkinnedPoints::new(&[[0.0; 3]], &skin, &[[0.0; 3]]).is_err());
+    }
+}

@@ -131,9 +131,10 @@ impl SignedDistanceGrid {
         Vec3::new(d(Vec3::X * h), d(Vec3::Y * h), d(Vec3::Z * h)).normalize_or(Vec3::X)
     }
 
-    /// Lower bound of the distance between `p` and the surface, from the nearest node.
+    /// Lower bound of the distance between `p` and the surface, from the nearest node, and whether that node is inside;
+    /// so is `p` where the bound is positive.
     #[inline]
-    pub(crate) fn distance_bound(&self, p: Vec3) -> f32 {
+    pub(crate) fn distance_bound(&self, p: Vec3) -> (f32, bool) {
         let u = (p - self.origin) / self.cell_mm + 0.5;
         let index = |v: f32, n: usize| (v.max(0.0) as usize).min(n - 1);
         let (i, j, k) = (
@@ -142,7 +143,8 @@ impl SignedDistanceGrid {
             index(u.z, self.dims[2]),
         );
         let node = self.origin + Vec3::new(i as f32, j as f32, k as f32) * self.cell_mm;
-        self.at(i, j, k).abs() - p.distance(node)
+        let value = self.at(i, j, k);
+        (value.abs() - p.distance(node), value < 0.0)
     }
 
     pub(crate) fn bounds(&self) -> (Vec3, Vec3) {

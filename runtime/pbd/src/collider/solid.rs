@@ -174,7 +174,8 @@ impl MeshSolid {
             distance: d,
             reach,
         } = *motion;
-        if grid.distance_bound(b) > reach + a.distance(b) {
+        let (far, inside) = grid.distance_bound(b);
+        if far > reach + a.distance(b) && !(inside && self.closed) {
             return;
         }
         let mut found = [(0f32, LocalContact::default()); MOST];
