@@ -66,4 +66,7 @@ pub enum UltrasoundError {
     /// The metadata could not be encoded.
     #[error("JSON: {0}")]
     Json(#[from] serde_json::Error),
+    /// The GPU is not there, too small, out of memory or lost.
+    #[error(transparent)]
+    Gpu(#[from] palpate_gpu::GpuError),
 }

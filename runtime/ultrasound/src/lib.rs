@@ -15,6 +15,7 @@ mod beams;
 mod coverage;
 mod cut;
 mod error;
+mod gpu;
 mod image;
 mod lateral;
 mod nifti;
@@ -35,6 +36,7 @@ mod vector;
 
 pub use background::{Background, Source};
 pub use error::UltrasoundError;
+pub use gpu::GpuScanner;
 pub use image::{Echoes, Image};
 pub use organ::Organ;
 pub use output::{Metadata, OrganMetadata};
