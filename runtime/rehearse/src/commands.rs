@@ -24,12 +24,12 @@ pub enum Backend {
 /// Refuses a backend that cannot compute here.
 ///
 /// # Errors
-/// [`RehearseError::Backend`] for GPUs: there is no solver for them yet.
+/// [`RehearseError::Backend`] for GPUs: the GPU solver is not part of sessions yet.
 pub fn backend(choice: Backend) -> Result<(), RehearseError> {
     match choice {
         Backend::Auto | Backend::Cpu => Ok(()),
         Backend::Gpu => Err(RehearseError::Backend(
-            "the solver does not run on GPUs yet; use --backend cpu (or auto)".into(),
+            "sessions do not run on GPUs yet; use --backend cpu (or auto)".into(),
         )),
     }
 }
@@ -51,7 +51,7 @@ pub fn devices() -> String {
     }
     let threads = std::thread::available_parallelism().map_or(1, |n| n.get());
     let _ = writeln!(out, "cpu        {threads} threads");
-    out.push_str("auto takes the CPU: the solver does not run on GPUs yet\n");
+    out.push_str("auto takes the CPU: sessions do not run on GPUs yet\n");
     out
 }
 

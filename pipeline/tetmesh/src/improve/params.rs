@@ -17,7 +17,7 @@ pub struct ImproveParams {
     /// square well under 0.1.
     pub surface_tolerance_edges: f64,
     /// Composite changes (a collapse, split or flip with the vertex moves that follow) that may be tried, for each
-    /// tet of the input. 0.2 bounds the time on hopeless meshes; good ones need under 0.02.
+    /// tet of the input. 0.1 bounds the time on hopeless meshes; good ones need under 0.02.
     pub attempts_per_tet: f64,
     /// Edges shorter than this share of the mean edge around them are merged where the tets stay good. 0.15: shorter
     /// ones cost an explicit time step and make needles.
@@ -45,7 +45,7 @@ impl Default for ImproveParams {
             max_dihedral_deg: 122.0,
             max_passes: 12,
             surface_tolerance_edges: 0.08,
-            attempts_per_tet: 0.2,
+            attempts_per_tet: 0.1,
             shortest_edge_share: 0.15,
             reconnect: true,
             max_size_change: 0.15,

@@ -122,7 +122,10 @@ impl Session {
                 Some(i) => format!(
                     "{}: {}",
                     self.tools[i.tool].name,
-                    level_name(i.scanner.settings().level)
+                    level_name(
+                        i.scanner.settings().level,
+                        i.scanner.organs().iter().any(|o| o.is_nominal())
+                    )
                 ),
                 None => String::new(),
             },
@@ -313,8 +316,9 @@ fn placed(mesh: &Mesh, pose: RigidPose) -> Mesh {
     }
 }
 
-fn level_name(level: Level) -> &'static str {
+fn level_name(level: Level, nominal: bool) -> &'static str {
     match level {
+        Level::Slice if nominal => "level 0, nominal intensities (no CT)",
         Level::Slice => "level 0, scan intensities",
         Level::Grey => "level 1, grey map and depth gain",
         Level::Rays => "level 2, rays",
