@@ -128,6 +128,30 @@ fn rest_shape_is_a_fixed_point_wherever_it_is_placed() {
 }
 
 #[test]
+fn turned_scene_gives_the_turned_result() {
+    // Without particle contacts: the lattice's neighbours lie at the contact distance, where rounding decides.
+    let make = |turn: Quat| {
+        let settings = Settings {
+            gravity_mm_s2: (turn * Vec3::new(0.0, -9810.0, 0.0)).as_dvec3().to_array(),
+            solid_rest_distance_factor: 0.0,
+            ..Settings::default()
+        };
+        let floor = Collider::plane("floor", turn * Vec3::new(0.0, -1.6, 0.0), turn * Vec3::Y);
+        let body = block([5, 4, 4], 0.5).placed(Pose::new(turn, Vec3::ZERO));
+        let mut s = solver(body, vec![floor], settings);
+        run(&mut s, 5);
+        s.positions().to_vec()
+    };
+    let turn = Quat::from_rotation_z(1.1) * Quat::from_rotation_x(0.6);
+    let turned: Vec<[f32; 3]> = make(Quat::IDENTITY)
+        .iter()
+        .map(|&p| (turn * Vec3::from(p)).to_array())
+        .collect();
+    let off = furthest(&turned, &make(turn));
+    assert!(off < 1e-4, "differs by {off} mm");
+}
+
+#[test]
 fn resting_weight_on_every_kind_of_support() {
     let weight = block([7, 5, 6], 0.6).mass_g() * 9810e-6;
     let middle = Vec3::new(6.0, 0.0, 5.0);
