@@ -14,9 +14,10 @@ clippy:
 doc:
     RUSTDOCFLAGS="-D warnings" cargo doc --release --workspace --no-deps
 
-# The bundled phantom: a package and a report to look at in out/.
+# The bundled phantom: a package, a report and a press to look at in out/.
 demo:
     cargo run --release --bin build-model -- fixtures/files/kidney-labels.nii.gz --ct fixtures/files/kidney-ct.nii.gz --labels fixtures/files/labels.txt --organ kidney --structure tumour --support cradle -o out/kidney.palpate --report out/report
+    cargo run --release --bin rehearse -- run fixtures/scenes/probe-press.toml --package out/kidney.palpate -o out/press
 
 # Every real case with default settings; prints the table of docs/benchmarks.md. Needs PALPATE_DATA.
 soak:
