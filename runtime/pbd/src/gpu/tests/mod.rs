@@ -55,17 +55,40 @@ fn block(dims: [usize; 3], spacing: f32) -> SoftBody {
     SoftBody::from_raw(&raw).expect("block")
 }
 
+/// An open surface of hills and dales as wide as particles, so that contacts lie on faces, edges and vertices.
+fn bumpy() -> TriangleMesh {
+    let n = 16u32;
+    let mut mesh = TriangleMesh::default();
+    for j in 0..=n {
+        for i in 0..=n {
+            let height = 0.9 * ((i * 7 + j * 11) % 5) as f32 / 5.0;
+            mesh.vertices.push([3.0 * i as f32, height, 3.0 * j as f32]);
+        }
+    }
+    for j in 0..n {
+        for i in 0..n {
+            let a = i + (n + 1) * j;
+            mesh.triangles
+                .extend([[a, a + n + 1, a + 1], [a + 1, a + n + 1, a + n + 2]]);
+        }
+    }
+    mesh
+}
+
 /// Two blocks, one on the other, among solids of every shape.
 fn crowded() -> Scene {
     let lower = block([9, 7, 9], 3.0).named("lower");
     let upper = block([7, 6, 7], 3.0)
         .named("upper")
         .placed(Pose::new(Quat::from_rotation_y(0.4), Vec3::new(2.0, 20.5, 3.0)));
-    let bowl = TriangleMesh::cuboid(Vec3::new(40.0, 5.0, 40.0));
     let ball = TriangleMesh::cuboid(Vec3::splat(4.0));
     let colliders = vec![
         Collider::plane("floor", Vec3::new(0.0, -2.0, 0.0), Vec3::new(0.05, 1.0, 0.0)),
-        Collider::fixed("table", Shape::Mesh(bowl), Pose::at(Vec3::new(10.0, -7.2, 10.0))),
+        Collider::fixed(
+            "table",
+            Shape::Mesh(bumpy()),
+            Pose::at(Vec3::new(-8.0, -1.9, -8.0)),
+        ),
         Collider::moving(
             "probe",
             Shape::Cuboid {
