@@ -1,5 +1,5 @@
 //! Times of images of a package under a smooth press, and the pictures:
-//! `cargo run --release -p palpate-ultrasound --example bench -- PACKAGE [FOLDER]`.
+//! `cargo run --release -p palpate-ultrasound --example image_bench -- PACKAGE [FOLDER]`.
 
 use palpate_package::ModelPackage;
 use palpate_ultrasound::{Level, Organ, Probe, ProbePose, Scanner, Settings, TissueTable};
