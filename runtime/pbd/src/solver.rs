@@ -1,6 +1,7 @@
 //! One step of Algorithm 1 of Camara et al. 2016, on all cores, the same bits on any number of them.
 
 pub(crate) mod clusters;
+mod contacts;
 pub(crate) mod neighbours;
 pub(crate) mod particles;
 mod report;
@@ -289,7 +290,7 @@ impl Core {
             if !self.neighbours.any && self.solids.is_empty() {
                 break;
             }
-            self.neighbours.correct(&mut self.particles, &pairs, true);
+            self.neighbours.correct_start(&mut self.particles, &pairs);
             self.solids.correct_start(&mut self.particles, pairs.symmetric);
             move_both(&mut self.particles);
         }
@@ -300,8 +301,8 @@ impl Core {
             for (n, group) in s.group_order.iter().enumerate() {
                 match group {
                     Group::ParticleContacts if self.neighbours.any => {
-                        self.neighbours.correct(&mut self.particles, &pairs, false);
-                        apply(&mut self.particles, shapes.omega, total);
+                        self.neighbours
+                            .push_apart(&mut self.particles, &pairs, shapes.omega, total);
                         self.timings.contacts_s += lap(&mut mark);
                     }
                     Group::ParticleContacts => {}
@@ -496,25 +497,6 @@ pub(crate) fn solve_shapes(p: &mut Particles, solids: &mut Solids, how: &ShapeCo
         .enumerate()
         .for_each(|(chunk, (predicted, exchange, pressed))| {
             view.solve(chunk, predicted, &start, how, exchange, pressed);
-        });
-}
-
-/// x* += ω·dx/n for the corrections of a group.
-pub(crate) fn apply(p: &mut Particles, omega: f32, total: bool) {
-    (
-        p.predicted.par_chunks_mut(CHUNK),
-        p.correction.par_chunks(CHUNK),
-        p.correction_count.par_chunks(CHUNK),
-        p.total_count.par_chunks(CHUNK),
-    )
-        .into_par_iter()
-        .for_each(|(predicted, dx, count, all)| {
-            for k in 0..predicted.len() {
-                if count[k] > 0 {
-                    let n = if total { all[k].max(1) } else { count[k] };
-                    predicted[k] += dx[k] * (omega / n as f32);
-                }
-            }
         });
 }
 

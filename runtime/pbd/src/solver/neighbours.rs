@@ -1,14 +1,15 @@
-//! Particle contacts: neighbour lists, candidates once per substep, corrections.
+//! Neighbour lists, and the candidates for particle contact once per substep.
 
 use super::CHUNK;
 use super::particles::{ClampCounts, Particles};
 use crate::grid::PointGrid;
 use glam::Vec3A;
 use rayon::prelude::*;
-use wide::f32x8;
 
-/// Neighbours that are treated at once.
-const LANES: usize = 8;
+/// Pairs that are treated at once.
+pub(crate) const LANES: usize = 4;
+/// Share of what only fills up a chunk's candidates.
+const NO_PAIR: f32 = -1.0;
 
 /// Contact range of a body.
 #[derive(Clone, Copy, Debug, Default)]
@@ -22,26 +23,34 @@ pub(crate) struct Range {
 }
 
 /// Lists of near particles that live for several substeps, and the candidates of the present one.
+///
+/// The rows of a chunk's particles lie one after the other without gaps, in a region of fixed size for each chunk.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Neighbours {
     pub(crate) grid: PointGrid,
     /// Predicted positions when the lists were made.
     pub(crate) base: Vec<Vec3A>,
-    /// Fixed-width rows of particles within range and skin, ascending.
-    pub(crate) near: Vec<u32>,
-    pub(crate) near_count: Vec<u32>,
-    pub(crate) near_width: usize,
-    /// Fixed-width rows of candidates for contact, ascending.
-    pub(crate) candidates: Vec<u32>,
+    /// Rows of particles within range and skin, ascending.
+    near: Vec<u32>,
+    /// First of a row within its chunk's region.
+    near_first: Vec<u32>,
+    near_count: Vec<u32>,
+    near_width: usize,
+    /// Rows of candidates for contact, ascending.
+    candidates: Vec<u32>,
+    /// Particle of each candidate's row, counted within the chunk.
+    owners: Vec<u8>,
     /// Share of each candidate's correction that the row's particle gets.
-    pub(crate) shares: Vec<f32>,
-    pub(crate) candidate_count: Vec<u32>,
-    pub(crate) width: usize,
-    /// Whether a chunk holds any candidate, and whether a row of `near` was full.
-    pub(crate) busy: Vec<bool>,
-    pub(crate) full: Vec<bool>,
-    pub(crate) moved2: Vec<f32>,
-    pub(crate) stale: bool,
+    shares: Vec<f32>,
+    first: Vec<u32>,
+    candidate_count: Vec<u32>,
+    width: usize,
+    /// Candidates of each chunk.
+    pairs: Vec<u32>,
+    /// Whether a row of `near` was full.
+    full: Vec<bool>,
+    moved2: Vec<f32>,
+    stale: bool,
     pub(crate) any: bool,
     pub(crate) rebuilds: u64,
 }
@@ -69,17 +78,21 @@ impl Neighbours {
     pub(crate) fn new(particles: usize, width: usize) -> Self {
         let near_width = 2 * width;
         let chunks = particles.div_ceil(CHUNK);
+        let region = region(width);
         Self {
             grid: PointGrid::with_capacity(particles),
             base: vec![Vec3A::ZERO; particles],
-            near: vec![0; particles * near_width],
+            near: vec![0; chunks * CHUNK * near_width],
+            near_first: vec![0; particles],
             near_count: vec![0; particles],
             near_width,
-            candidates: vec![0; particles * width],
-            shares: vec![0.0; particles * width],
+            candidates: vec![0; chunks * region],
+            owners: vec![0; chunks * region],
+            shares: vec![0.0; chunks * region],
+            first: vec![0; particles],
             candidate_count: vec![0; particles],
             width,
-            busy: vec![false; chunks],
+            pairs: vec![0; chunks],
             full: vec![false; chunks],
             moved2: vec![0.0; chunks],
             stale: true,
@@ -94,7 +107,19 @@ impl Neighbours {
     }
 
     pub(crate) fn row(&self, i: usize) -> &[u32] {
-        &self.candidates[i * self.width..i * self.width + self.candidate_count[i] as usize]
+        let from = i / CHUNK * region(self.width) + self.first[i] as usize;
+        &self.candidates[from..from + self.candidate_count[i] as usize]
+    }
+
+    /// Candidates of a chunk, up to a multiple of [`LANES`]: those beyond the end have the share [`NO_PAIR`].
+    pub(crate) fn chunk(&self, chunk: usize) -> ChunkPairs<'_> {
+        let from = chunk * region(self.width);
+        let row = from..from + (self.pairs[chunk] as usize).next_multiple_of(LANES);
+        ChunkPairs {
+            others: &self.candidates[row.clone()],
+            owners: &self.owners[row.clone()],
+            shares: &self.shares[row],
+        }
     }
 
     /// Lists of near particles, where they are out of date, and candidates within range at the predicted positions.
@@ -130,39 +155,65 @@ impl Neighbours {
         if self.stale {
             self.rebuild(p, how);
         }
-        let (near, near_count, near_width) = (&self.near, &self.near_count, self.near_width);
-        let width = self.width;
+        let (near, near_first, near_count) = (&self.near, &self.near_first, &self.near_count);
+        let (near_region, width) = (CHUNK * self.near_width, self.width);
+        // With one body the range is the same for all pairs.
+        let uniform = (how.ranges.len() == 1).then(|| {
+            let range = 2.0 * (how.ranges[0].half_contact + how.ranges[0].half_margin);
+            range * range
+        });
         (
-            self.candidates.par_chunks_mut(CHUNK * width),
+            self.candidates.par_chunks_mut(region(width)),
+            self.owners.par_chunks_mut(region(width)),
+            self.first.par_chunks_mut(CHUNK),
             self.candidate_count.par_chunks_mut(CHUNK),
-            self.busy.par_iter_mut(),
+            self.pairs.par_iter_mut(),
             counts.par_iter_mut(),
         )
             .into_par_iter()
             .enumerate()
-            .for_each(|(chunk, (rows, row_count, busy, counts))| {
-                *busy = false;
-                for (k, row_count) in row_count.iter_mut().enumerate() {
+            .for_each(|(chunk, (others, owners, first, count, pairs, counts))| {
+                let near = &near[chunk * near_region..(chunk + 1) * near_region];
+                let mut end = 0;
+                for k in 0..count.len() {
                     let i = chunk * CHUNK + k;
-                    let a = &how.ranges[usize::from(p.body[i])];
-                    let mut n = 0;
-                    for &j in &near[i * near_width..i * near_width + near_count[i] as usize] {
-                        let b = &how.ranges[usize::from(p.body[j as usize])];
-                        let range = a.half_contact + a.half_margin + (b.half_contact + b.half_margin);
-                        if x[i].distance_squared(x[j as usize]) < range * range {
-                            if n == width {
-                                counts.particle_contacts += 1;
-                            } else {
-                                rows[k * width + n] = j;
-                                n += 1;
+                    let from = near_first[i] as usize;
+                    let near = &near[from..from + near_count[i] as usize];
+                    let (here, begin) = (x[i], end);
+                    // Written always and kept where it is in range: no branch to guess.
+                    let mut take = |j: u32, d2: f32, range2: f32| {
+                        others[end] = j;
+                        owners[end] = k as u8;
+                        end += usize::from(d2 < range2);
+                    };
+                    match uniform {
+                        Some(range2) => {
+                            for &j in near {
+                                take(j, here.distance_squared(x[j as usize]), range2);
+                            }
+                        }
+                        None => {
+                            let a = &how.ranges[usize::from(p.body[i])];
+                            for &j in near {
+                                let b = &how.ranges[usize::from(p.body[j as usize])];
+                                let range = a.half_contact + a.half_margin + (b.half_contact + b.half_margin);
+                                take(j, here.distance_squared(x[j as usize]), range * range);
                             }
                         }
                     }
-                    *row_count = n as u32;
-                    *busy |= n > 0;
+                    if end - begin > width {
+                        counts.particle_contacts += (end - begin - width) as u64;
+                        end = begin + width;
+                    }
+                    first[k] = begin as u32;
+                    count[k] = (end - begin) as u32;
                 }
+                *pairs = end as u32;
+                let padded = end.next_multiple_of(LANES);
+                others[end..padded].fill((chunk * CHUNK) as u32);
+                owners[end..padded].fill(0);
             });
-        self.any = self.busy.contains(&true);
+        self.any = self.pairs.iter().any(|n| *n > 0);
         if self.any {
             self.share(p, how);
         }
@@ -170,23 +221,24 @@ impl Neighbours {
 
     /// Weights of the two sides of each pair, and what its corrections are divided by where that is symmetric.
     fn share(&mut self, p: &Particles, how: &PairContact) {
-        let (candidates, count, width) = (&self.candidates, &self.candidate_count, self.width);
+        let (others, owners, count) = (&self.candidates, &self.owners, &self.candidate_count);
+        let region = region(self.width);
         let weight = &p.contact_weight;
-        (self.shares.par_chunks_mut(CHUNK * width), self.busy.par_iter())
+        (self.shares.par_chunks_mut(region), self.pairs.par_iter())
             .into_par_iter()
             .enumerate()
-            .filter(|(_, (_, busy))| **busy)
-            .for_each(|(chunk, (rows, _))| {
-                for i in chunk * CHUNK..((chunk + 1) * CHUNK).min(count.len()) {
-                    let row = i * width..i * width + count[i] as usize;
-                    for (share, &j) in rows[(i % CHUNK) * width..].iter_mut().zip(&candidates[row]) {
-                        let j = j as usize;
-                        *share = weight[i] / (weight[i] + weight[j]).max(f32::MIN_POSITIVE);
-                        if how.symmetric {
-                            *share /= count[i].max(count[j]) as f32;
-                        }
+            .for_each(|(chunk, (shares, &pairs))| {
+                let row = chunk * region..chunk * region + pairs as usize;
+                let (others, owners) = (&others[row.clone()], &owners[row]);
+                for ((share, &j), &k) in shares.iter_mut().zip(others).zip(owners) {
+                    let (i, j) = (chunk * CHUNK + usize::from(k), j as usize);
+                    *share = weight[i] / (weight[i] + weight[j]).max(f32::MIN_POSITIVE);
+                    if how.symmetric {
+                        *share /= count[i].max(count[j]) as f32;
                     }
                 }
+                let end = others.len();
+                shares[end..end.next_multiple_of(LANES)].fill(NO_PAIR);
             });
     }
 
@@ -200,16 +252,18 @@ impl Neighbours {
         let (grid, width) = (&self.grid, self.near_width);
         (
             self.near.par_chunks_mut(CHUNK * width),
+            self.near_first.par_chunks_mut(CHUNK),
             self.near_count.par_chunks_mut(CHUNK),
             self.full.par_iter_mut(),
         )
             .into_par_iter()
             .enumerate()
-            .for_each(|(chunk, (rows, row_count, full))| {
+            .for_each(|(chunk, (rows, first, count, full))| {
                 *full = false;
-                for (k, row_count) in row_count.iter_mut().enumerate() {
+                let mut begin = 0;
+                for k in 0..count.len() {
                     let i = chunk * CHUNK + k;
-                    let row = &mut rows[k * width..(k + 1) * width];
+                    let row = &mut rows[begin..begin + width];
                     let a = &how.ranges[usize::from(p.body[i])];
                     let mut n = 0;
                     grid.around(x[i], |j, y| {
@@ -239,165 +293,23 @@ impl Neighbours {
                     });
                     // Index order, whatever the cells were: sums then do not depend on when a list was made.
                     row[..n].sort_unstable();
-                    *row_count = n as u32;
-                }
-            });
-    }
-
-    /// Sums the corrections of particle contacts into `p.correction`, with their counts: at the start positions for
-    /// stabilisation, else at the predicted ones, with friction against the displacement in between.
-    pub(crate) fn correct(&self, p: &mut Particles, how: &PairContact, at_start: bool) {
-        let Particles {
-            x,
-            predicted,
-            inverse_mass,
-            body,
-            correction,
-            correction_count,
-            ..
-        } = p;
-        let at: &[Vec3A] = if at_start { x } else { predicted };
-        let start: &[Vec3A] = x;
-        let (body, inverse_mass) = (&*body, &*inverse_mass);
-        // With one body the contact distance is the same for all pairs.
-        let uniform = (how.ranges.len() == 1).then(|| 2.0 * how.ranges[0].half_contact);
-        (
-            correction.par_chunks_mut(CHUNK),
-            correction_count.par_chunks_mut(CHUNK),
-            self.busy.par_iter(),
-        )
-            .into_par_iter()
-            .enumerate()
-            .for_each(|(chunk, (correction, count, &busy))| {
-                correction.fill(Vec3A::ZERO);
-                count.fill(0);
-                if !busy {
-                    return;
-                }
-                for k in 0..correction.len() {
-                    let i = chunk * CHUNK + k;
-                    let (from, n) = (i * self.width, self.candidate_count[i] as usize);
-                    if n == 0 || inverse_mass[i] == 0.0 {
-                        continue;
-                    }
-                    let side = Side {
-                        i,
-                        at,
-                        start,
-                        contact: |j: usize| match uniform {
-                            Some(contact) => contact,
-                            None => {
-                                let (a, b) = (usize::from(body[i]), usize::from(body[j]));
-                                how.ranges[a].half_contact + how.ranges[b].half_contact
-                            }
-                        },
-                        skip: |j: usize| at_start && !how.stabilise_self && body[i] == body[j],
-                        friction: if at_start {
-                            (0.0, 0.0)
-                        } else {
-                            (how.static_friction, how.friction)
-                        },
-                    };
-                    let (mut sum, mut touched) = (Vec3A::ZERO, 0);
-                    let row = &self.candidates[from..from + n];
-                    let shares = &self.shares[from..from + n];
-                    for (row, shares) in row.chunks(LANES).zip(shares.chunks(LANES)) {
-                        let (dx, n) = side.push(row, shares);
-                        sum += dx;
-                        touched += n;
-                    }
-                    correction[k] = sum;
-                    // Symmetric shares are divided already.
-                    count[k] = if how.symmetric { touched.min(1) } else { touched };
+                    (first[k], count[k]) = (begin as u32, n as u32);
+                    begin += n;
                 }
             });
     }
 }
 
-/// One particle among its neighbours.
-struct Side<'a, C, S> {
-    i: usize,
-    at: &'a [Vec3A],
-    start: &'a [Vec3A],
-    contact: C,
-    skip: S,
-    /// Static and sliding coefficient.
-    friction: (f32, f32),
+/// Candidates of a chunk.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ChunkPairs<'a> {
+    pub others: &'a [u32],
+    /// The pair's other side, counted within the chunk.
+    pub owners: &'a [u8],
+    pub shares: &'a [f32],
 }
 
-impl<C: Fn(usize) -> f32, S: Fn(usize) -> bool> Side<'_, C, S> {
-    /// Sum of the corrections by up to eight neighbours at once, and how many of them touch.
-    #[inline]
-    fn push(&self, row: &[u32], shares: &[f32]) -> (Vec3A, u32) {
-        let here = self.at[self.i];
-        let moved = here - self.start[self.i];
-        let mut apart = [[0f32; LANES]; 3];
-        let mut slid = [[0f32; LANES]; 3];
-        let mut contact = [0f32; LANES];
-        let mut share = [0f32; LANES];
-        let mut any = false;
-        for (lane, (&j, &s)) in row.iter().zip(shares).enumerate() {
-            let j = j as usize;
-            let there = self.at[j];
-            let mut d = here - there;
-            let d2 = d.length_squared();
-            contact[lane] = (self.contact)(j);
-            if d2 >= contact[lane] * contact[lane] || (self.skip)(j) {
-                contact[lane] = 0.0;
-                continue;
-            }
-            if d2 < 1e-12 {
-                // Short enough not to shorten the depth.
-                d = arbitrary_axis(self.i, j) * 1e-6;
-            }
-            any = true;
-            share[lane] = s;
-            let u = moved - (there - self.start[j]);
-            for (k, (d, u)) in d.to_array().into_iter().zip(u.to_array()).enumerate() {
-                apart[k][lane] = d;
-                slid[k][lane] = u;
-            }
-        }
-        if !any {
-            return (Vec3A::ZERO, 0);
-        }
-        let touched = contact.iter().filter(|c| **c > 0.0).count() as u32;
-        let zero = f32x8::splat(0.0);
-        let [x, y, z] = apart.map(f32x8::new);
-        let [ux, uy, uz] = slid.map(f32x8::new);
-        let distance = (x * x + y * y + z * z).sqrt();
-        let inverse = f32x8::splat(1.0) / distance.max(f32x8::splat(1e-12));
-        let (nx, ny, nz) = (x * inverse, y * inverse, z * inverse);
-        let depth = (f32x8::new(contact) - distance).max(zero);
-        let along = ux * nx + uy * ny + uz * nz;
-        let (tx, ty, tz) = (ux - nx * along, uy - ny * along, uz - nz * along);
-        let length = (tx * tx + ty * ty + tz * tz).sqrt();
-        let (fixed, sliding) = self.friction;
-        let slip = (depth * f32x8::splat(sliding) / length.max(f32x8::splat(1e-12))).min(f32x8::splat(1.0));
-        let stick = length.simd_lt(depth * f32x8::splat(fixed));
-        let back = stick.select(f32x8::splat(1.0), slip);
-        let share = f32x8::new(share);
-        let sum = |n: f32x8, t: f32x8| ((n * depth - t * back) * share).to_array().iter().sum::<f32>();
-        (Vec3A::new(sum(nx, tx), sum(ny, ty), sum(nz, tz)), touched)
-    }
-}
-
-/// Direction from particle `j` to `i` where both are in one place: an axis by index parity, opposite for the other.
-fn arbitrary_axis(i: usize, j: usize) -> Vec3A {
-    let axis = [Vec3A::X, Vec3A::Y, Vec3A::Z][(i + j) % 3];
-    if i < j { axis } else { -axis }
-}
-
-/// Tangential displacement that Coulomb friction takes back: all of it below static·depth, else dynamic·depth of it.
-#[inline]
-pub(crate) fn friction(u: Vec3A, normal: Vec3A, depth: f32, fixed: f32, sliding: f32) -> Vec3A {
-    let tangential = u - normal * u.dot(normal);
-    let length = tangential.length();
-    if length < fixed * depth {
-        tangential
-    } else if length > 0.0 {
-        tangential * (sliding * depth / length).min(1.0)
-    } else {
-        Vec3A::ZERO
-    }
+/// Room for the candidates of a chunk: a row beyond its width is cut after it was written.
+fn region(width: usize) -> usize {
+    (CHUNK * width + 2 * width).next_multiple_of(LANES) + LANES
 }

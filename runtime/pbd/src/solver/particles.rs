@@ -11,6 +11,8 @@ pub(crate) struct Particles {
     pub x: Vec<Vec3A>,
     /// Predicted, then iterated positions.
     pub predicted: Vec<Vec3A>,
+    /// Where particle contacts write, before it takes the place of `predicted`.
+    pub next: Vec<Vec3A>,
     pub velocity: Vec<Vec3A>,
     /// Rest positions in the body's frame.
     pub rest: Vec<Vec3A>,

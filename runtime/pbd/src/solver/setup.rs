@@ -84,6 +84,7 @@ impl Core {
         }
         let p = &mut core.particles;
         p.predicted = p.x.clone();
+        p.next = p.x.clone();
         p.velocity = vec![Vec3A::ZERO; particles];
         p.contact_weight = p.inverse_mass.clone();
         p.correction = vec![Vec3A::ZERO; particles];

@@ -1,7 +1,7 @@
 //! Contacts with shapes: planes found once per substep, corrections, momentum.
 
 use super::CHUNK;
-use super::neighbours::friction;
+use super::contacts::friction;
 use super::particles::{ClampCounts, Particles};
 use crate::collider::{LocalContacts, Motion, PreparedShape};
 use crate::{Collider, PbdError, Pose, Settings};

@@ -351,7 +351,7 @@ fn stabilisation_and_particle_contacts() {
             if total {
                 solver::count_constraints(particles, clusters, neighbours, solids, &pairs);
             }
-            neighbours.correct(particles, &pairs, true);
+            neighbours.correct_start(particles, &pairs);
             solids.correct_start(particles, pairs.symmetric);
             solver::move_both(particles);
         }
@@ -376,8 +376,9 @@ fn stabilisation_and_particle_contacts() {
         );
         let before = p.core.particles.predicted.clone();
         let (pairs, shapes) = contacts(&p.core.ranges, &p.core.distance, &p.core.margin, &p.core.mass, &s);
-        p.core.neighbours.correct(&mut p.core.particles, &pairs, false);
-        solver::apply(&mut p.core.particles, shapes.omega, total);
+        p.core
+            .neighbours
+            .push_apart(&mut p.core.particles, &pairs, shapes.omega, total);
         p.run(|r| r.contact_particles());
         near(
             "after contacts",
