@@ -69,9 +69,11 @@ impl fmt::Display for AdapterReport {
 /// Which adapter to take.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum Choice {
-    /// The best real GPU: discrete before integrated before virtual before unknown, never a software driver.
+    /// The best real GPU: discrete before integrated, nothing else.
     #[default]
     Auto,
+    /// As `Auto`, then a virtual GPU or one of unknown kind; never a software driver.
+    Hardware,
     /// A discrete GPU, nothing else.
     Discrete,
     /// A software driver, for checks.
@@ -80,6 +82,8 @@ pub enum Choice {
     Any,
     /// The first adapter whose name holds this text (upper and lower case alike).
     Named(String),
+    /// The adapter at this place of [`adapters`].
+    Number(usize),
 }
 
 /// Why `Auto` and the limits speak against an adapter.
@@ -87,12 +91,21 @@ fn objection(info: &wgpu::AdapterInfo, limits: &wgpu::Limits) -> Option<String> 
     if info.device_type == wgpu::DeviceType::Cpu {
         return Some("computes on the processor; the CPU backend is faster".into());
     }
-    shortfall(info, limits).map(|e| e.to_string())
+    if let Some(error) = shortfall(info, limits, &wgpu::Limits::default()) {
+        return Some(error.to_string());
+    }
+    match AdapterKind::of(info.device_type) {
+        AdapterKind::Discrete | AdapterKind::Integrated => None,
+        kind => Some(format!("{kind}: taken only where it is asked for")),
+    }
 }
 
-/// The kernels stay inside the WebGPU default limits; an adapter that offers less is refused by name.
-pub(crate) fn shortfall(info: &wgpu::AdapterInfo, limits: &wgpu::Limits) -> Option<GpuError> {
-    let need = wgpu::Limits::default();
+/// The first limit of the adapter that is less than needed. The kernels stay inside the WebGPU default limits.
+pub(crate) fn shortfall(
+    info: &wgpu::AdapterInfo,
+    limits: &wgpu::Limits,
+    need: &wgpu::Limits,
+) -> Option<GpuError> {
     let rows = [
         (
             "maxStorageBuffersPerShaderStage",
@@ -170,13 +183,15 @@ fn rank(kind: AdapterKind) -> u8 {
 }
 
 /// Whether the choice admits an adapter.
-fn admits(choice: &Choice, report: &AdapterReport) -> bool {
+fn admits(choice: &Choice, number: usize, report: &AdapterReport) -> bool {
     match choice {
         Choice::Auto => report.refused.is_none(),
         Choice::Discrete => report.kind == AdapterKind::Discrete,
         Choice::Software => report.kind == AdapterKind::Software,
+        Choice::Hardware => report.kind != AdapterKind::Software,
         Choice::Any => true,
         Choice::Named(text) => report.name.to_lowercase().contains(&text.to_lowercase()),
+        Choice::Number(n) => *n == number,
     }
 }
 
@@ -198,13 +213,17 @@ pub(crate) fn choose(choice: &Choice) -> Result<(wgpu::Adapter, AdapterReport), 
             .join("; ")
     };
     all.into_iter()
-        .filter(|(_, r)| admits(choice, r))
+        .enumerate()
+        .filter(|(n, (_, r))| admits(choice, *n, r))
+        .map(|(_, found)| found)
         .min_by_key(|(_, r)| rank(r.kind))
         .ok_or_else(|| GpuError::NoAdapter {
             found: match choice {
                 Choice::Named(text) => format!("no adapter's name holds \"{text}\"; found: {names}"),
                 Choice::Discrete => format!("a discrete GPU was asked for; found: {names}"),
                 Choice::Software => format!("a software driver was asked for; found: {names}"),
+                Choice::Hardware => format!("a GPU was asked for, no software driver; found: {names}"),
+                Choice::Number(n) => format!("there is no adapter {n}; found: {names}"),
                 Choice::Auto | Choice::Any => names,
             },
         })
@@ -230,10 +249,11 @@ mod tests {
         let why = objection(&info, &wgpu::Limits::default());
         assert!(why.is_some());
         let soft = named("llvmpipe", AdapterKind::Software, why.as_deref());
-        assert!(!admits(&Choice::Auto, &soft));
-        assert!(!admits(&Choice::Discrete, &soft));
-        assert!(admits(&Choice::Software, &soft));
-        assert!(admits(&Choice::Named("LLVM".into()), &soft));
+        assert!(!admits(&Choice::Auto, 0, &soft));
+        assert!(!admits(&Choice::Discrete, 0, &soft));
+        assert!(!admits(&Choice::Hardware, 0, &soft));
+        assert!(admits(&Choice::Software, 0, &soft));
+        assert!(admits(&Choice::Named("LLVM".into()), 0, &soft));
     }
 
     #[test]
@@ -243,13 +263,18 @@ mod tests {
             max_storage_buffers_per_shader_stage: 4,
             ..wgpu::Limits::default()
         };
-        let error = shortfall(&info, &limits)
+        let need = wgpu::Limits::default();
+        let error = shortfall(&info, &limits, &need)
             .map(|e| e.to_string())
             .unwrap_or_default();
         assert!(
             error.contains("maxStorageBuffersPerShaderStage is 4, at least 8"),
             "{error}"
         );
-        assert!(shortfall(&info, &wgpu::Limits::default()).is_none());
+        assert!(shortfall(&info, &need, &need).is_none());
+        assert!(objection(&info, &need).is_none());
+        // A share of a card is taken by name only.
+        let share = wgpu::AdapterInfo::new(wgpu::DeviceType::VirtualGpu, wgpu::Backend::Vulkan);
+        assert!(objection(&share, &need).is_some_and(|o| o.contains("asked for")));
     }
 }

@@ -6,6 +6,32 @@ use wgpu::util::DeviceExt;
 use crate::adapter::{choose, shortfall};
 use crate::{AdapterReport, Choice, GpuError};
 
+/// What is asked of a device.
+#[derive(Clone, Debug)]
+pub struct Demand {
+    /// The least that will do. The default is WebGPU's, which the kernels stay inside.
+    pub limits: wgpu::Limits,
+    /// Taken where the adapter offers them: by default timestamps, between passes and inside.
+    pub wanted: wgpu::Features,
+}
+
+impl Default for Demand {
+    fn default() -> Self {
+        Self {
+            limits: wgpu::Limits::default(),
+            wanted: wgpu::Features::TIMESTAMP_QUERY | wgpu::Features::TIMESTAMP_QUERY_INSIDE_PASSES,
+        }
+    }
+}
+
+/// Where a device can take the time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Stamps {
+    None,
+    Passes,
+    Inside,
+}
+
 /// A device with its queue. Cheap to clone; clones share the device.
 #[derive(Clone, Debug)]
 pub struct Gpu {
@@ -14,7 +40,7 @@ pub struct Gpu {
     /// Its queue.
     pub queue: wgpu::Queue,
     adapter: AdapterReport,
-    timestamps: bool,
+    stamps: Stamps,
     fault: Arc<Mutex<Option<GpuError>>>,
 }
 
@@ -29,17 +55,28 @@ fn keep_first(fault: &Mutex<Option<GpuError>>, error: GpuError) {
 impl Gpu {
     /// Opens the adapter that `choice` names, with the WebGPU default limits, but storage bindings as large as the adapter
     /// offers.
+    ///
+    /// # Errors
+    /// [`GpuError::NoAdapter`], [`GpuError::LimitTooSmall`], [`GpuError::Device`].
     pub fn open(choice: &Choice) -> Result<Self, GpuError> {
+        Self::open_with(choice, &Demand::default())
+    }
+
+    /// As [`Gpu::open`], with other demands.
+    ///
+    /// # Errors
+    /// As [`Gpu::open`].
+    pub fn open_with(choice: &Choice, demand: &Demand) -> Result<Self, GpuError> {
         let (adapter, report) = choose(choice)?;
         let offered = adapter.limits();
-        if let Some(error) = shortfall(&adapter.get_info(), &offered) {
+        if let Some(error) = shortfall(&adapter.get_info(), &offered, &demand.limits) {
             return Err(error);
         }
-        let features = adapter.features() & wgpu::Features::TIMESTAMP_QUERY;
+        let features = adapter.features() & demand.wanted;
         let limits = wgpu::Limits {
             max_storage_buffer_binding_size: offered.max_storage_buffer_binding_size,
             max_buffer_size: offered.max_buffer_size,
-            ..wgpu::Limits::default()
+            ..demand.limits.clone()
         };
         let request = adapter.request_device(&wgpu::DeviceDescriptor {
             label: Some("palpate"),
@@ -62,7 +99,14 @@ impl Gpu {
             device,
             queue,
             adapter: report,
-            timestamps: features.contains(wgpu::Features::TIMESTAMP_QUERY),
+            stamps: match (
+                features.contains(wgpu::Features::TIMESTAMP_QUERY),
+                features.contains(wgpu::Features::TIMESTAMP_QUERY_INSIDE_PASSES),
+            ) {
+                (true, true) => Stamps::Inside,
+                (true, false) => Stamps::Passes,
+                _ => Stamps::None,
+            },
             fault,
         })
     }
@@ -86,7 +130,11 @@ impl Gpu {
 
     /// Whether passes can be timed on the device.
     pub fn has_timestamps(&self) -> bool {
-        self.timestamps
+        self.stamps != Stamps::None
+    }
+
+    pub(crate) fn stamps(&self) -> Stamps {
+        self.stamps
     }
 
     /// The first fault since the device was opened, if any: lost device, memory, refused call.
@@ -199,7 +247,14 @@ impl Gpu {
     }
 
     /// Reads the first `bytes` of a mappable buffer; waits for the device.
-    pub(crate) fn map<T: Pod>(&self, staging: &wgpu::Buffer, bytes: u64) -> Result<Vec<T>, GpuError> {
+    fn map<T: Pod>(&self, staging: &wgpu::Buffer, bytes: u64) -> Result<Vec<T>, GpuError> {
+        let mut values = vec![T::zeroed(); bytes as usize / size_of::<T>().max(1)];
+        self.map_into(staging, bytemuck::cast_slice_mut(&mut values))?;
+        Ok(values)
+    }
+
+    /// Reads the start of a mappable buffer; waits for the device.
+    pub(crate) fn map_into(&self, staging: &wgpu::Buffer, out: &mut [u8]) -> Result<(), GpuError> {
         let (send, receive) = std::sync::mpsc::channel();
         staging.map_async(wgpu::MapMode::Read, .., move |result| {
             // The receiver lives until the poll below returns.
@@ -221,14 +276,15 @@ impl Gpu {
                 return Err(refused(e.to_string()));
             }
         }
-        let values = {
+        {
             let range = staging
                 .get_mapped_range(..)
                 .map_err(|e| refused(format!("{e:?}")))?;
-            bytemuck::pod_collect_to_vec(&range[..bytes as usize])
-        };
+            let n = out.len().min(range.len());
+            out[..n].copy_from_slice(&range[..n]);
+        }
         staging.unmap();
-        Ok(values)
+        Ok(())
     }
 
     /// Waits until all submitted work is done.
@@ -257,5 +313,22 @@ fn fault_of(context: &str, error: &wgpu::Error) -> GpuError {
                 reason: description.clone(),
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_full_device_says_what_to_do() {
+        let error = wgpu::Error::OutOfMemory {
+            source: Box::new(std::io::Error::other("full")),
+        };
+        let told = fault_of("positions", &error).to_string();
+        assert!(
+            told.contains("no memory left (positions)") && told.contains("smaller model"),
+            "{told}"
+        );
     }
 }

@@ -6,6 +6,7 @@
 #![forbid(unsafe_code)]
 
 mod adapter;
+mod batch;
 mod device;
 mod error;
 mod kernel;
@@ -13,7 +14,8 @@ mod recording;
 mod shader;
 
 pub use adapter::{AdapterKind, AdapterReport, Choice, adapters};
-pub use device::Gpu;
+pub use batch::{Batch, Piece};
+pub use device::{Demand, Gpu};
 pub use error::GpuError;
 pub use kernel::Kernel;
 pub use recording::{PartTime, Recording};

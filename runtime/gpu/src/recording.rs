@@ -1,9 +1,11 @@
-use crate::{Gpu, GpuError, Kernel};
+use std::ops::Range;
+
+use crate::{Batch, Gpu, GpuError, Kernel};
 
 /// A sequence of dispatches that is put together once and submitted every step.
 ///
-/// Dispatches belong to named parts. A timed submission gives each run of dispatches of one part a pass of its own between
-/// two timestamps; an untimed one puts all into one pass, which is faster.
+/// Dispatches belong to named parts. A timed submission has a timestamp between runs of dispatches of different parts; where the
+/// device takes timestamps between passes only, each run gets a pass of its own, which is slower.
 #[derive(Clone, Debug, Default)]
 pub struct Recording {
     parts: Vec<String>,
@@ -66,13 +68,7 @@ impl Recording {
         bindings: &wgpu::BindGroup,
         workgroups: [u32; 3],
     ) {
-        let part = match self.parts.iter().position(|p| p == part) {
-            Some(n) => n,
-            None => {
-                self.parts.push(part.into());
-                self.parts.len() - 1
-            }
-        };
+        let part = self.part(part);
         self.dispatches.push(Dispatch {
             part,
             pipeline: kernel.pipeline.clone(),
@@ -96,78 +92,47 @@ impl Recording {
     /// Submits all dispatches with a timestamp around each run of a part, waits, and answers the time of every part in the
     /// order of first use. None where the device has no timestamps: the dispatches are submitted all the same.
     pub fn submit_timed(&self, gpu: &Gpu) -> Result<Option<Vec<PartTime>>, GpuError> {
-        if !gpu.has_timestamps() || self.is_empty() {
-            self.submit(gpu)?;
-            gpu.wait()?;
-            return Ok(None);
+        let mut batch = Batch::new(gpu, &[self], &[], true)?;
+        batch.run(gpu)?;
+        Ok(batch.times().map(<[PartTime]>::to_vec))
+    }
+
+    /// Names of the parts, in the order of first use.
+    pub(crate) fn parts(&self) -> &[String] {
+        &self.parts
+    }
+
+    /// Adds the dispatches of another recording.
+    pub(crate) fn append(&mut self, other: &Self) {
+        for d in &other.dispatches {
+            let part = self.part(&other.parts[d.part]);
+            self.dispatches.push(Dispatch { part, ..d.clone() });
         }
-        let mut runs: Vec<(usize, std::ops::Range<usize>)> = Vec::new();
+    }
+
+    /// Dispatches of one part that follow each other: part and range.
+    pub(crate) fn runs(&self) -> Vec<(usize, Range<usize>)> {
+        let mut runs: Vec<(usize, Range<usize>)> = Vec::new();
         for (n, d) in self.dispatches.iter().enumerate() {
             match runs.last_mut() {
                 Some((part, range)) if *part == d.part => range.end = n + 1,
                 _ => runs.push((d.part, n..n + 1)),
             }
         }
-        let mut times = vec![0.0; self.parts.len()];
-        let period = f64::from(gpu.queue.get_timestamp_period());
-        // A query set holds at most 4096 timestamps.
-        for chunk in runs.chunks(2048) {
-            let ticks = self.submit_runs(gpu, chunk)?;
-            for (pair, (part, _)) in ticks.chunks_exact(2).zip(chunk) {
-                times[*part] += pair[1].saturating_sub(pair[0]) as f64 * period * 1e-6;
+        runs
+    }
+
+    fn part(&mut self, name: &str) -> usize {
+        match self.parts.iter().position(|p| p == name) {
+            Some(n) => n,
+            None => {
+                self.parts.push(name.into());
+                self.parts.len() - 1
             }
         }
-        let named = self.parts.iter().zip(times);
-        Ok(Some(
-            named
-                .map(|(part, ms)| PartTime {
-                    part: part.clone(),
-                    ms,
-                })
-                .collect(),
-        ))
     }
 
-    fn submit_runs(&self, gpu: &Gpu, runs: &[(usize, std::ops::Range<usize>)]) -> Result<Vec<u64>, GpuError> {
-        let count = 2 * runs.len() as u32;
-        let bytes = u64::from(count) * 8;
-        let staging = gpu.guarded("timestamps", || {
-            let queries = gpu.device.create_query_set(&wgpu::QuerySetDescriptor {
-                label: Some("timestamps"),
-                ty: wgpu::QueryType::Timestamp,
-                count,
-            });
-            let buffer = |usage| {
-                gpu.device.create_buffer(&wgpu::BufferDescriptor {
-                    label: Some("timestamps"),
-                    size: bytes,
-                    usage,
-                    mapped_at_creation: false,
-                })
-            };
-            let resolved = buffer(wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC);
-            let staging = buffer(wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST);
-            let mut encoder = gpu.device.create_command_encoder(&Default::default());
-            for (n, (_, range)) in runs.iter().enumerate() {
-                let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
-                    label: None,
-                    timestamp_writes: Some(wgpu::ComputePassTimestampWrites {
-                        query_set: &queries,
-                        beginning_of_pass_write_index: Some(2 * n as u32),
-                        end_of_pass_write_index: Some(2 * n as u32 + 1),
-                    }),
-                });
-                self.encode(&mut pass, range.clone());
-            }
-            encoder.resolve_query_set(&queries, 0..count, &resolved, 0);
-            encoder.copy_buffer_to_buffer(&resolved, 0, &staging, 0, bytes);
-            gpu.queue.submit([encoder.finish()]);
-            staging
-        })?;
-        gpu.map(&staging, bytes)
-    }
-
-    fn encode(&self, pass: &mut wgpu::ComputePass<'_>, range: std::ops::Range<usize>) {
+    pub(crate) fn encode(&self, pass: &mut wgpu::ComputePass<'_>, range: Range<usize>) {
         for d in &self.dispatches[range] {
             pass.set_pipeline(&d.pipeline);
             pass.set_bind_group(0, &d.bindings, &[]);

@@ -1,6 +1,6 @@
 //! Devices, kernels and recordings on whatever adapter there is.
 
-use palpate_gpu::{Choice, Gpu, GpuError, Kernel, Recording, Shader};
+use palpate_gpu::{Batch, Choice, Demand, Gpu, GpuError, Kernel, Piece, Recording, Shader, wgpu};
 
 const SCALE: &str = "
 struct Settings { factor: f32, count: u32 }
@@ -148,4 +148,86 @@ fn entry_points_state_what_they_use() {
         layout.members[1].offset as usize,
         std::mem::offset_of!(Settings, count)
     );
+}
+
+/// Two recordings in one submission, pieces of what they wrote, times with both kinds of timestamps.
+#[test]
+fn a_batch_reads_its_pieces_back() {
+    let Some(gpu) = device() else { return };
+    let between = Demand {
+        wanted: wgpu::Features::TIMESTAMP_QUERY,
+        ..Demand::default()
+    };
+    let other = Gpu::open_with(&Choice::Any, &between).expect("a second device");
+    for gpu in [gpu, other] {
+        let n = 1000;
+        let values: Vec<f32> = (0..n).map(|i| i as f32).collect();
+        let shader = Shader::new("scale.wgsl", &[SCALE]).expect("shader");
+        let scale = Kernel::new(&gpu, &shader, "scale", &[("shift", 1.0)]).expect("scale");
+        let square = Kernel::new(&gpu, &shader, "square", &[]).expect("square");
+        let input = gpu.storage("input", &values).expect("input");
+        let output = gpu.storage_zeroed("output", 4 * n as u64).expect("output");
+        let settings = Settings {
+            factor: 2.0,
+            count: n as u32,
+        };
+        let uniform = gpu.uniform("settings", &settings).expect("settings");
+        let (mut first, mut second) = (Recording::new(), Recording::new());
+        let bound = scale
+            .bind(&gpu, &[(0, &input), (1, &output), (2, &uniform)])
+            .expect("bind");
+        first.run("scale", &scale, &bound, n);
+        let bound = square.bind(&gpu, &[(1, &output), (2, &uniform)]).expect("bind");
+        second.run("square", &square, &bound, n);
+        second.run("scale", &square, &bound, n);
+        let piece = |offset, bytes| Piece {
+            buffer: output.clone(),
+            offset,
+            bytes,
+        };
+        let pieces = [piece(4 * 500, 8), piece(0, 0), piece(12, 4)];
+        let mut batch = Batch::new(&gpu, &[&first, &second], &pieces, true).expect("batch");
+        for factor in [2.0f32, 3.0] {
+            gpu.write(&uniform, 0, &[Settings { factor, ..settings }]);
+            batch.run(&gpu).expect("run");
+            let at = |i: f32| (factor * i + 1.0).powi(4).to_le_bytes();
+            assert_eq!(batch.piece(0), [at(500.0), at(501.0)].concat());
+            assert_eq!(batch.piece(1), [0u8; 0]);
+            assert_eq!(batch.piece(2), at(3.0));
+            assert_eq!(batch.piece(3), [0u8; 0]);
+        }
+        let times = batch
+            .times()
+            .map(|t| t.iter().map(|t| t.part.as_str()).collect::<Vec<_>>());
+        assert_eq!(
+            times,
+            gpu.has_timestamps().then(|| vec!["scale", "square"]),
+            "{:?}",
+            batch.times()
+        );
+        assert!(Batch::new(&gpu, &[&first], &[piece(4 * n as u64, 4)], false).is_err());
+        assert!(Batch::new(&gpu, &[&first], &[piece(2, 4)], false).is_err());
+    }
+}
+
+#[test]
+fn an_adapter_below_the_demand_is_refused() {
+    if device().is_none() {
+        return;
+    }
+    let demand = Demand {
+        limits: wgpu::Limits {
+            max_compute_invocations_per_workgroup: 1 << 20,
+            ..wgpu::Limits::default()
+        },
+        ..Demand::default()
+    };
+    let error = Gpu::open_with(&Choice::Any, &demand).expect_err("absurd limits");
+    assert!(
+        matches!(&error, GpuError::LimitTooSmall { limit, needed: 0x100000, .. } if limit.contains("Invocations")),
+        "{error}"
+    );
+    assert!(error.to_string().contains("CPU backend"), "{error}");
+    let error = Gpu::open(&Choice::Number(1000)).expect_err("no such adapter");
+    assert!(matches!(error, GpuError::NoAdapter { .. }), "{error}");
 }
