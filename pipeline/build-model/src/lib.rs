@@ -10,7 +10,6 @@ mod compare;
 /// Software rasteriser of the report's pictures.
 pub mod draw;
 mod fiducials;
-mod progress;
 mod recipe;
 pub mod report;
 mod rows;
@@ -23,8 +22,8 @@ pub mod verify;
 pub use build::{Built, build};
 pub use compare::{BodyComparison, compare};
 pub use fiducials::{FiducialError, Fiducials};
-pub use progress::Progress;
-pub use recipe::{LabelName, Recipe, TissueParams, UsageError};
+pub use palpate_console::{Progress, UsageError};
+pub use recipe::{LabelName, Recipe, TissueParams};
 pub use stage::StageRecord;
 
 use std::path::PathBuf;

@@ -3,37 +3,17 @@
 use anyhow::Context;
 use build_model::args::{BuildArgs, Cli, Command, Format};
 use build_model::{Inputs, Progress, Recipe, UsageError, build, summary};
-use clap::Parser;
-use std::io::Write;
+use palpate_console::{Words, print, start, use_threads};
 use std::path::Path;
 use std::process::ExitCode;
 use std::time::Instant;
 
-/// Input or output fault.
-const FAULT: u8 = 1;
-/// Wrong usage; the same status that the argument parser exits with.
-const USAGE: u8 = 2;
-/// A bug of ours.
-const INTERNAL: u8 = 3;
-
 fn main() -> ExitCode {
-    let cli = Cli::parse();
-    std::panic::set_hook(Box::new(|info| {
-        eprintln!("error: internal error, nothing was written: {info}");
-        eprintln!("       please report this line with the scan's header and the recipe");
-    }));
-    match std::panic::catch_unwind(|| run(cli)) {
-        Ok(Ok(())) => ExitCode::SUCCESS,
-        Ok(Err(e)) => {
-            eprintln!("error: {e:#}");
-            ExitCode::from(if e.downcast_ref::<UsageError>().is_some() {
-                USAGE
-            } else {
-                FAULT
-            })
-        }
-        Err(_) => ExitCode::from(INTERNAL),
-    }
+    let words = Words {
+        output: "nothing was written",
+        report: "the scan's header and the recipe",
+    };
+    start(words, run)
 }
 
 fn run(cli: Cli) -> anyhow::Result<()> {
@@ -94,12 +74,7 @@ fn run_build(args: BuildArgs) -> anyhow::Result<()> {
     recipe.check_selection()?;
     // Before minutes of work, not after.
     writable(&output)?;
-    if args.threads > 0 {
-        rayon::ThreadPoolBuilder::new()
-            .num_threads(args.threads)
-            .build_global()
-            .context("cannot start threads")?;
-    }
+    use_threads(args.threads)?;
     let progress = Progress::new(args.quiet || args.json);
     let inputs = Inputs {
         scan,
@@ -141,13 +116,4 @@ fn writable(path: &Path) -> anyhow::Result<()> {
     std::fs::write(&probe, b"")
         .and_then(|()| std::fs::remove_file(&probe))
         .with_context(|| format!("cannot write into the output folder: {}", dir.display()))
-}
-
-/// Prints to standard output; a reader that went away (`| head`) is no fault.
-fn print(text: &str) -> anyhow::Result<()> {
-    let mut out = std::io::stdout().lock();
-    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
-        Err(e) if e.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
-        other => other.context("cannot write to standard output"),
-    }
 }

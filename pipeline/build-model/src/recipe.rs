@@ -1,3 +1,4 @@
+use crate::UsageError;
 use crate::args::BuildArgs;
 use anyhow::Context;
 use palpate_particles::ParticleParams;
@@ -87,11 +88,6 @@ impl Default for TissueParams {
         }
     }
 }
-
-/// The command line cannot be carried out as given; exit status 2.
-#[derive(Debug, thiserror::Error)]
-#[error("{0}")]
-pub struct UsageError(pub String);
 
 impl Recipe {
     /// The recipe file, if one is named, with the flags on top.

@@ -28,7 +28,7 @@ pub use body::{RawBody, SoftBody};
 pub use collider::{Collider, Convex, Shape, SignedDistanceGrid};
 pub use cradle::{CradleParams, clearance_mm, cradle};
 pub use error::PbdError;
-pub use gpu::{GpuOptions, GpuSolver, SkinId};
+pub use gpu::{GpuOptions, GpuSolver, SkinId, Watch};
 pub use mesh::TriangleMesh;
 pub use pose::Pose;
 pub use rotation::{muller_pass, nearest_rotation};

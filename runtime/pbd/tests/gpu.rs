@@ -1,7 +1,7 @@
 //! Whole sessions on a GPU beside the CPU, repeats, reports, faults.
 
 use glam::{Quat, Vec3};
-use palpate_gpu::{Gpu, GpuError};
+use palpate_gpu::{Gpu, GpuError, Piece};
 use palpate_pbd::{
     Averaging, Collider, GpuOptions, GpuSolver, Group, NetMomentum, PbdError, Pose, RawBody, Scene, Settings,
     Shape, ShapeMatching, SkinnedPoints, SoftBody, Solver, TriangleMesh,
@@ -342,6 +342,50 @@ fn repeats_are_the_same_bits() {
     let (first, second) = (run(), run());
     assert!(first.1[1].normal_force_n > 0.0);
     assert_eq!(first, second);
+}
+
+/// What comes back with a step is what is read after it.
+#[test]
+fn watched_steps_bring_back_what_can_be_read() {
+    let Some(gpu) = device() else { return };
+    let scene = pressed(floor());
+    let solver = || {
+        let mut s = GpuSolver::new(&gpu, &scene, &Settings::default()).expect("GPU");
+        let rest: Vec<[f32; 3]> = (0..5).map(|i| [i as f32; 3]).collect();
+        let skin = palpate_package::Skin {
+            indices: vec![[0, 1, 0, 0]; 5],
+            weights: vec![[0.25, 0.75, 0.0, 0.0]; 5],
+        };
+        let points = SkinnedPoints::new(&rest, &skin, &[[0.0; 3], [9.0, 0.0, 0.0]]).expect("points");
+        let id = s.attach(0, &points).expect("attached");
+        (s, id)
+    };
+    let ((mut plain, a), (mut watched, b)) = (solver(), solver());
+    let places = Piece {
+        buffer: watched.skinned_buffer(b).expect("buffer").clone(),
+        offset: 16,
+        bytes: 12,
+    };
+    let mut watch = watched.watch(&[b], &[], &[places]).expect("watch");
+    for n in 0..25 {
+        for s in [&mut plain, &mut watched] {
+            s.set_pose(1, probe_at(n)).expect("pose");
+        }
+        plain.step().expect("step");
+        watched.step_watched(&mut watch).expect("step");
+        assert_eq!(watch.contacts(), plain.contacts().expect("contacts"), "{n}");
+        assert_eq!(watch.clamps(), &plain.clamps().expect("clamps"));
+        let at = plain.skinned(a).expect("points");
+        assert_eq!(watch.points(0), at);
+        assert_eq!(watch.piece(0), at[1].map(f32::to_le_bytes).concat());
+    }
+    assert!(watch.contacts()[1].normal_force_n > 0.0);
+    assert_eq!(watch.times().is_some(), gpu.has_timestamps());
+    assert!(watch.points(1).is_empty() && watch.piece(1).is_empty());
+    // A device that goes away is told, and the step does not hang.
+    gpu.device.destroy();
+    let error = watched.step_watched(&mut watch).expect_err("destroyed");
+    assert!(matches!(error, PbdError::Gpu(_)), "{error}");
 }
 
 /// A saved state goes on where it stopped, and a wrong one is refused.

@@ -1,6 +1,6 @@
 //! The command line.
 
-use crate::Backend;
+use crate::BackendArgs;
 use clap::{Args, Parser, Subcommand};
 use std::path::PathBuf;
 
@@ -27,7 +27,8 @@ pub struct Cli {
 pub enum Command {
     /// Run a scene: pictures, tables, grids, arrays and a summary page.
     Run(RunArgs),
-    /// Repeat a recording on the CPU and compare every state with the recorded one.
+    /// Repeat a recording on the CPU and compare every state with the recorded one: bit for bit, or the fiducials of a session
+    /// on a GPU.
     Replay {
         /// Recording file (recording.json of an output folder).
         recording: PathBuf,
@@ -41,7 +42,7 @@ pub enum Command {
         #[arg(short, long)]
         quiet: bool,
     },
-    /// Time per step over the protocol for each package.
+    /// Time per step over the protocol for each package, on the CPU and each GPU.
     Bench {
         /// Model packages.
         #[arg(required = true)]
@@ -49,9 +50,9 @@ pub enum Command {
         /// Scene in place of the protocol.
         #[arg(long, value_name = "FILE")]
         scene: Option<PathBuf>,
-        /// What computes: auto, cpu or gpu.
-        #[arg(long, value_enum, default_value_t = Backend::Auto)]
-        backend: Backend,
+        /// Devices: auto measures the CPU and every real GPU.
+        #[command(flatten)]
+        device: BackendArgs,
         /// Worker threads (0: one per core).
         #[arg(long, value_name = "N", default_value_t = 0)]
         threads: usize,
@@ -91,10 +92,10 @@ pub struct RunArgs {
     /// Folder to write; an earlier output there is replaced.
     #[arg(short, long, value_name = "DIR")]
     pub output: PathBuf,
-    /// What computes: auto, cpu or gpu.
-    #[arg(long, value_enum, default_value_t = Backend::Auto)]
-    pub backend: Backend,
-    /// Worker threads (0: one per core). The result does not depend on it.
+    /// Device.
+    #[command(flatten)]
+    pub device: BackendArgs,
+    /// Worker threads on the CPU (0: one per core). The result does not depend on it.
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub threads: usize,
     /// No progress and no summary; errors only.

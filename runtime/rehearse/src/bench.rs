@@ -1,7 +1,7 @@
 //! Time per step of whole sessions: the paper's Table 5 and Figure 8.
 
 use crate::scene::{PROBE_PRESS, SceneSource};
-use crate::session::{Session, load};
+use crate::session::{Device, Session, load};
 use crate::trace::{PARTS, Spread};
 use crate::{Progress, RehearseError};
 use std::fmt::Write;
@@ -14,6 +14,8 @@ const FIRST_STEPS: usize = 10;
 /// Figures of one package.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BenchRow {
+    /// What computed, in words.
+    pub device: String,
     /// Package file.
     pub package: PathBuf,
     /// Particle spacing (the paper's particle radius), mm.
@@ -38,16 +40,18 @@ pub struct BenchRow {
     pub picture_ms: f64,
     /// Limits that took hold.
     pub clamps: u64,
+    /// What the reader should know.
+    pub notes: Vec<String>,
 }
 
-/// Runs the scene (absent: the paper's protocol) with each package; nothing is written.
+/// Runs the scene (absent: the paper's protocol) with each package on a device; nothing is written.
 ///
 /// # Errors
 /// Whatever a session refuses.
 pub fn bench(
     scene: Option<&Path>,
     packages: &[PathBuf],
-    threads: usize,
+    device: &Device,
     progress: &Progress,
 ) -> Result<Vec<BenchRow>, RehearseError> {
     let source = match scene {
@@ -58,7 +62,7 @@ pub fn bench(
         .iter()
         .map(|package| {
             let (scene, loaded) = load(&source, Some(package))?;
-            let mut session = Session::new(scene, &loaded, threads)?;
+            let mut session = Session::on(device, scene, &loaded)?;
             let steps = session.timeline().steps();
             progress.start(
                 &package.file_stem().unwrap_or_default().to_string_lossy(),
@@ -85,15 +89,15 @@ fn picture_ms(session: &mut Session) -> Result<f64, RehearseError> {
         .build()
         .map_err(palpate_pbd::PbdError::from)?;
     let camera = session.camera();
-    Ok(pool.install(|| {
-        (0..5)
-            .map(|_| {
-                let start = Instant::now();
-                std::hint::black_box(session.picture(&camera));
-                1e3 * start.elapsed().as_secs_f64()
-            })
-            .fold(f64::INFINITY, f64::min)
-    }))
+    pool.install(|| {
+        let mut least = f64::INFINITY;
+        for _ in 0..5 {
+            let start = Instant::now();
+            std::hint::black_box(session.picture(&camera)?);
+            least = least.min(1e3 * start.elapsed().as_secs_f64());
+        }
+        Ok(least)
+    })
 }
 
 fn row(session: &Session, package: &Path) -> BenchRow {
@@ -111,6 +115,8 @@ fn row(session: &Session, package: &Path) -> BenchRow {
         .collect();
     let size = session.size();
     BenchRow {
+        device: session.device(),
+        notes: session.warnings().to_vec(),
         package: package.into(),
         radius_mm: size.radius_mm,
         particles: size.particles,
@@ -126,10 +132,11 @@ fn row(session: &Session, package: &Path) -> BenchRow {
     }
 }
 
-/// The rows as two tables: time per step, share of each part.
-pub fn bench_tables(rows: &[BenchRow], device: &str) -> String {
+/// The rows of one device as two tables: time per step (the paper's Table 5), share of each part (Figure 8).
+pub fn bench_tables(rows: &[BenchRow]) -> String {
+    let device = rows.first().map_or("", |r| r.device.as_str());
     let mut out = format!(
-        "{device}\nsolver, skinning and image per step, ms; the first {FIRST_STEPS} steps left out\n\n"
+        "{device}\nsolver, skinning and image per step, wall time, ms; the first {FIRST_STEPS} steps left out\n\n"
     );
     out.push_str(
         "| package | radius mm | particles | clusters | memberships | mean | SD | min | max | steps/s | solver mean |\n\
@@ -160,18 +167,22 @@ pub fn bench_tables(rows: &[BenchRow], device: &str) -> String {
             r.solver_ms.mean
         );
     }
-    out.push_str("\nshare of each part, %\n\n| package |");
+    if rows.iter().all(|r| r.parts_ms.iter().sum::<f64>() <= 0.0) {
+        out.push_str("\nthe device tells no times of parts\n");
+        return out;
+    }
+    out.push_str("\nshare of each part, %; busy: their sum, ms a step\n\n| package |");
     for p in PARTS {
         let _ = write!(out, " {p} |");
     }
-    let _ = writeln!(out, "\n|---|{}", "---|".repeat(PARTS.len()));
+    let _ = writeln!(out, " busy |\n|---|{}", "---|".repeat(PARTS.len() + 1));
     for r in rows {
         let sum: f64 = r.parts_ms.iter().sum::<f64>().max(1e-12);
         let _ = write!(out, "| {} |", name(r));
         for p in r.parts_ms {
             let _ = write!(out, " {:.1} |", 100.0 * p / sum);
         }
-        out.push('\n');
+        let _ = writeln!(out, " {sum:.2} |");
     }
     out.push('\n');
     for r in rows {
@@ -185,6 +196,11 @@ pub fn bench_tables(rows: &[BenchRow], device: &str) -> String {
     }
     for r in rows.iter().filter(|r| r.clamps > 0) {
         let _ = writeln!(out, "\n{}: limits took hold {} times", name(r), r.clamps);
+    }
+    for r in rows {
+        for n in &r.notes {
+            let _ = writeln!(out, "{}: {n}", name(r));
+        }
     }
     out
 }

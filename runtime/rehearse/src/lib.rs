@@ -5,12 +5,12 @@
 #![forbid(unsafe_code)]
 
 pub mod args;
+mod backend;
 mod bench;
 mod commands;
 mod error;
 pub mod motion;
 pub mod output;
-mod progress;
 pub mod recording;
 pub mod render;
 mod run;
@@ -18,8 +18,9 @@ pub mod scene;
 pub mod session;
 pub mod trace;
 
+pub use backend::{Backend, BackendArgs, devices};
 pub use bench::{BenchRow, bench, bench_tables};
-pub use commands::{Backend, UsageError, backend, check, devices};
+pub use commands::check;
 pub use error::RehearseError;
-pub use progress::Progress;
+pub use palpate_console::{Progress, UsageError};
 pub use run::{RunReport, run};

@@ -15,6 +15,8 @@ use std::path::Path;
 /// Figures of a session that ran.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RunReport {
+    /// What computed, in words.
+    pub device: String,
     /// Steps.
     pub steps: u32,
     /// Wall time of a step (solver, skinning, image), ms.
@@ -42,13 +44,12 @@ pub fn run(
 ) -> Result<RunReport, RehearseError> {
     let folder = OutputFolder::new(place)?;
     let mut recording = Recording::new(&session, packages);
-    let mut out = Writer::new(&session, folder);
+    let mut out = Writer::new(&session, folder)?;
     let steps = session.timeline().steps();
     progress.start("press", u64::from(steps));
     for step in 1..=steps {
         let poses = session.poses(step);
-        let digest = session.advance(&poses)?.digest;
-        recording.push(&poses, digest);
+        recording.push(&poses, session.advance(&poses)?);
         out.step(&mut session, step, step == steps)?;
         progress.step(u64::from(step));
     }
@@ -77,6 +78,7 @@ fn report(session: &Session) -> RunReport {
         ));
     }
     RunReport {
+        device: session.device(),
         steps: session.step_number(),
         step_ms: Spread::of(&ms),
         clamps,
@@ -98,17 +100,17 @@ struct Writer {
 }
 
 impl Writer {
-    fn new(session: &Session, folder: OutputFolder) -> Self {
-        Self {
+    fn new(session: &Session, folder: OutputFolder) -> Result<Self, RehearseError> {
+        Ok(Self {
             folder,
             camera: session.camera(),
-            rest: session.rest_shape(),
+            rest: session.rest_shape()?,
             preview: Preview::default(),
             waiting: Vec::new(),
             stages: Vec::new(),
             series: Vec::new(),
             frames: 0,
-        }
+        })
     }
 
     fn step(&mut self, session: &mut Session, step: u32, last: bool) -> Result<(), RehearseError> {
@@ -119,7 +121,7 @@ impl Writer {
         let preview =
             record.preview_every_steps > 0 && (step.is_multiple_of(record.preview_every_steps) || last);
         if frame || preview || stage.is_some() {
-            let picture = session.picture(&self.camera);
+            let picture = session.picture(&self.camera)?;
             if preview {
                 self.preview.push(picture.halved());
             }
@@ -147,7 +149,7 @@ impl Writer {
 
     fn image(&mut self, session: &mut Session, step: u32) -> Result<(), RehearseError> {
         let name = format!("images/image-{step:05}");
-        if let Some(image) = session.image() {
+        if let Some(image) = session.image()? {
             self.waiting.push((format!("{name}.png"), image.picture()));
         }
         if let Some((nifti, metadata)) = session.image_files()? {
@@ -170,10 +172,12 @@ impl Writer {
             .try_for_each(|(name, bytes)| self.folder.write(name, bytes))
     }
 
-    fn grids(&mut self, session: &Session, step: u32) -> Result<(), RehearseError> {
+    fn grids(&mut self, session: &mut Session, step: u32) -> Result<(), RehearseError> {
+        session.read_back()?;
+        let session = &*session;
         let time = session.timeline().time_s(step);
         let mut clouds = session.surface_clouds(&self.rest);
-        clouds.push(("particles".into(), session.particle_cloud(&self.rest)));
+        clouds.push(("particles".into(), session.particle_cloud(&self.rest)?));
         for (name, points_mm, triangles) in session.instrument_meshes() {
             clouds.push((
                 format!("instrument-{name}"),
@@ -280,6 +284,7 @@ impl Writer {
             warnings: report.warnings.clone(),
             preview: &preview,
             pictures: &pictures,
+            image: session.scene().image.is_some(),
             scene: &scene,
             files: &files,
             ..SummaryInput::new(&title, trace)
@@ -367,10 +372,10 @@ fn facts(session: &Session, packages: &[Loaded], report: &RunReport) -> Vec<(Str
     out.push((
         "computed".into(),
         format!(
-            "{} steps of {:.2} ms on the CPU, {} threads: {:.1} ms a step, {:.0} steps/s",
+            "{} steps of {:.2} ms on {}: {:.1} ms a step, {:.0} steps/s",
             report.steps,
             1e3 * s.solver.dt_s,
-            session.solver().threads(),
+            session.device(),
             report.step_ms.mean,
             1e3 / report.step_ms.mean.max(1e-9)
         ),

@@ -6,7 +6,15 @@ use serde::{Deserialize, Serialize};
 pub const UNCALIBRATED: &str = "Contact forces, torques and pressures follow from a stiffness that is not calibrated for \
                                 this patient's tissue: compare them within a session, do not read them as measurements.";
 
-/// The same for narrow places.
+/// Sentence that goes with positions and displacements.
+pub const UNCALIBRATED_MOTION: &str = "The deformation follows from a stiffness that is not calibrated for this patient's \
+                                       tissue: read it as a plausible motion, not as a prediction.";
+
+/// Sentence that goes with ultrasound images.
+pub const UNCALIBRATED_GREY: &str = "Grey values of the ultrasound images are not calibrated: they come from the scan's or \
+                                     nominal tissue values, not from sound measured in this patient.";
+
+/// The first for narrow places.
 pub const UNCALIBRATED_SHORT: &str = "forces: stiffness not calibrated";
 
 /// Parts of a step in the order of [`StepTimes::parts`].
@@ -49,12 +57,13 @@ impl Contact {
     }
 }
 
-/// Wall time of a step, s.
+/// Time of a step, s: wall time on the CPU. On a GPU the parts are the device's own times, zeros where it takes no
+/// timestamps, and all parts together are the wall time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StepTimes {
     /// By [`PARTS`].
     pub parts: [f64; 8],
-    /// The solver's step as a whole, without skinning and image.
+    /// The solver's step as a whole, without skinning and image; on a GPU with the way there and back.
     pub solver_s: f64,
 }
 
@@ -62,6 +71,11 @@ impl StepTimes {
     /// Solver, skinning and image.
     pub fn total_s(&self) -> f64 {
         self.solver_s + self.parts[6] + self.parts[7]
+    }
+
+    /// Sum of the parts: on a GPU what the device itself was busy.
+    pub fn parts_s(&self) -> f64 {
+        self.parts.iter().sum()
     }
 
     /// Finding contacts of all kinds: the second curve of the paper's Figure 7.
@@ -91,7 +105,7 @@ pub struct StepRow {
     pub clamps: u64,
     /// Embedding tets that are inverted in the scan plane.
     pub inverted_tets: u32,
-    /// Digest of the solver's state.
+    /// Digest of the solver's state; on a GPU of contacts, clamps and fiducials.
     pub digest: u64,
 }
 
@@ -109,6 +123,8 @@ pub struct StageRow {
 /// Everything measured in a session.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Trace {
+    /// What computed it, in words.
+    pub device: String,
     /// Names of the instruments.
     pub instruments: Vec<String>,
     /// Names of the fiducials.

@@ -2,9 +2,9 @@
 
 use crate::organ::Organ;
 use crate::vector::{apply, apply_linear, cross, sub};
-use crate::{Background, PixelGrid, Probe, ProbePose, Settings, UltrasoundError};
+use crate::{Background, Image, PixelGrid, Probe, ProbePose, Scanner, Settings, UltrasoundError};
 use bytemuck::{Pod, Zeroable};
-use palpate_gpu::{Gpu, Kernel, Recording, Shader, wgpu};
+use palpate_gpu::{Gpu, Kernel, Piece, Recording, Shader, wgpu};
 
 const SLICE: &str = include_str!("../../../shaders/slice.wgsl");
 
@@ -157,6 +157,16 @@ impl GpuScanner {
     /// # Errors
     /// A pose that is not rigid; [`UltrasoundError::Gpu`] where the device was lost.
     pub fn slice(&mut self, pose: &ProbePose) -> Result<(), UltrasoundError> {
+        self.aim(pose)?;
+        self.recording.submit(&self.gpu)?;
+        Ok(())
+    }
+
+    /// Sets the plane of the images that [`GpuScanner::recording`] makes from now on.
+    ///
+    /// # Errors
+    /// A pose that is not rigid.
+    pub fn aim(&mut self, pose: &ProbePose) -> Result<(), UltrasoundError> {
         pose.check()?;
         let narrow = |v: [f64; 3]| v.map(|c| c as f32);
         let volume = &self.organ.volume;
@@ -168,8 +178,58 @@ impl GpuScanner {
         self.view.around_lateral = narrow(apply_linear(&volume.to_index, pose.lateral));
         self.view.around_depth = narrow(apply_linear(&volume.to_index, pose.axial));
         self.gpu.write(&self.uniform, 0, &[self.view]);
-        self.recording.submit(&self.gpu)?;
         Ok(())
+    }
+
+    /// The commands of an image on the plane that [`GpuScanner::aim`] set, for a submission together with the solver's.
+    pub fn recording(&self) -> &Recording {
+        &self.recording
+    }
+
+    /// Where the number of inverted tets of the last image lies: one u32.
+    pub fn inverted_piece(&self) -> Piece {
+        Piece {
+            buffer: self.owners.clone(),
+            offset: 4 * self.grid.len() as u64,
+            bytes: 4,
+        }
+    }
+
+    /// The last image as `scanner`, made with the same organ, probe and settings, would have made it at `pose`: grey values,
+    /// level 0 or 1, with everything that is written of them. Waits for the device.
+    ///
+    /// # Errors
+    /// - [`UltrasoundError::Setting`] where the scanner's level needs sound, or its pixels are others.
+    /// - [`UltrasoundError::Gpu`] where the device was lost.
+    pub fn image_in<'a>(
+        &self,
+        scanner: &'a mut Scanner,
+        pose: &ProbePose,
+    ) -> Result<Image<'a>, UltrasoundError> {
+        let refuse = |name, found: String, expected| UltrasoundError::Setting {
+            name,
+            found,
+            expected,
+        };
+        if scanner.beams.is_some() {
+            let level = format!("{:?}", scanner.settings.level);
+            return Err(refuse("level", level, "slice or grey from a GPU"));
+        }
+        if scanner.grid != self.grid {
+            let found = format!("{:?}", scanner.grid);
+            return Err(refuse("width_px", found, "the pixels of the image on the GPU"));
+        }
+        let (hu, kinds) = (self.hu()?, self.kinds()?);
+        scanner.cut.inverted_tets = self.inverted_tets()?;
+        scanner.cut.polygons.clear();
+        let s = &mut scanner.slice;
+        s.polygon.fill(crate::coverage::NONE);
+        s.hu.copy_from_slice(&hu);
+        for (n, (label, source)) in kinds.into_iter().enumerate() {
+            (s.label[n], s.source[n]) = (label, source);
+        }
+        scanner.map_grey();
+        Ok(scanner.hold(pose))
     }
 
     /// Pixels of the image in the scan plane.

@@ -41,7 +41,14 @@ pub(crate) fn encode(width: usize, height: usize, affine: &[[f64; 4]; 3], voxels
     put(112, &1f32.to_le_bytes());
     // mm.
     put(123, &[2]);
-    put(148, b"palpate-ultrasound");
+    // At most 79 characters.
+    put(
+        148,
+        match voxels {
+            Voxels::U8(_) => &b"palpate-ultrasound: grey values and stiffness are not calibrated"[..],
+            _ => b"palpate-ultrasound: stiffness is not calibrated",
+        },
+    );
     put(252, &1i16.to_le_bytes());
     put(254, &1i16.to_le_bytes());
     let q = quaternion([0, 1, 2].map(|c| scale(columns[c], 1.0 / size[c])));

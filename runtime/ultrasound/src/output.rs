@@ -66,7 +66,10 @@ fn metadata(
             voxel_mm: o.volume.spacing_mm,
         })
         .collect();
-    let mut notes = Vec::new();
+    let mut notes = vec![
+        "the deformation follows from a stiffness that is not calibrated for this patient's tissue"
+            .to_owned(),
+    ];
     for o in organs.iter().filter(|o| o.nominal) {
         notes.push(format!(
             "{}: the package has no CT; values are nominal ones of the labels' tissues",
@@ -146,13 +149,17 @@ impl Image<'_> {
 
     /// Level, probe, pose, what was nominal, inverted tets, pixels that the mesh did not cover.
     pub fn metadata(&self) -> Metadata {
-        metadata(
+        let mut out = metadata(
             self.scanner,
             self.scanner.settings().level,
             &self.pose,
             self.inverted_tets(),
             self.source_counts(),
-        )
+        );
+        let grey =
+            "grey values are not calibrated: compare them within an image, do not read them as measurements";
+        out.notes.insert(0, grey.into());
+        out
     }
 }
 

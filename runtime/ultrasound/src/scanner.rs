@@ -20,6 +20,8 @@ pub struct Scanner {
     pub(crate) slice: Pixels,
     pub(crate) beams: Option<Beams>,
     pub(crate) grey: Vec<u8>,
+    /// Pose of the image whose grey values these are.
+    held: Option<ProbePose>,
 }
 
 impl Scanner {
@@ -71,6 +73,7 @@ impl Scanner {
             slice,
             beams,
             grey: vec![0; grid.len()],
+            held: None,
         })
     }
 
@@ -113,6 +116,7 @@ impl Scanner {
     ) -> Result<SliceImage<'_>, UltrasoundError> {
         check_deformed(&self.organs, deformed)?;
         pose.check()?;
+        self.held = None;
         self.cut.update(&self.organs, deformed, pose);
         let scene = Scene {
             organs: &self.organs,
@@ -151,29 +155,48 @@ impl Scanner {
             beams.image(&scene, &self.probe, level, deformed, pose, &mut self.grey);
         } else {
             self.slice(deformed, pose)?;
-            let (grid, s) = (&self.grid, &self.settings);
-            let width = grid.width_px;
-            self.grey
-                .par_chunks_mut(width)
-                .zip(self.slice.hu.par_chunks(width))
-                .enumerate()
-                .for_each(|(row, (pixels, hu))| {
-                    let depth_cm = 0.1 * grid.plane([0.0, row as f64])[1].max(0.0);
-                    let gain_db = if s.level == Level::Grey {
-                        s.grey_gain_db_cm * depth_cm
-                    } else {
-                        0.0
-                    };
-                    let gain = 255.0 * 10f64.powf(gain_db / 20.0) as f32 / (s.white_hu - s.black_hu);
-                    for (pixel, &hu) in pixels.iter_mut().zip(hu) {
-                        *pixel = ((hu - s.black_hu) * gain + 0.5).clamp(0.0, 255.0) as u8;
-                    }
-                });
+            self.map_grey();
         }
-        Ok(Image {
+        Ok(self.hold(pose))
+    }
+
+    /// The last image of [`Scanner::image`], which lasts until the next image or slice; none before the first.
+    pub fn held(&self) -> Option<Image<'_>> {
+        Some(Image {
+            scanner: self,
+            pose: self.held?,
+        })
+    }
+
+    /// The grey values are those of an image at `pose`.
+    pub(crate) fn hold(&mut self, pose: &ProbePose) -> Image<'_> {
+        self.held = Some(*pose);
+        Image {
             scanner: self,
             pose: *pose,
-        })
+        }
+    }
+
+    /// Grey values of the level 0 image.
+    pub(crate) fn map_grey(&mut self) {
+        let (grid, s) = (&self.grid, &self.settings);
+        let width = grid.width_px;
+        self.grey
+            .par_chunks_mut(width)
+            .zip(self.slice.hu.par_chunks(width))
+            .enumerate()
+            .for_each(|(row, (pixels, hu))| {
+                let depth_cm = 0.1 * grid.plane([0.0, row as f64])[1].max(0.0);
+                let gain_db = if s.level == Level::Grey {
+                    s.grey_gain_db_cm * depth_cm
+                } else {
+                    0.0
+                };
+                let gain = 255.0 * 10f64.powf(gain_db / 20.0) as f32 / (s.white_hu - s.black_hu);
+                for (pixel, &hu) in pixels.iter_mut().zip(hu) {
+                    *pixel = ((hu - s.black_hu) * gain + 0.5).clamp(0.0, 255.0) as u8;
+                }
+            });
     }
 
     /// Where a rest point of an organ (patient mm) is now, by the embedding (patient mm); `None` outside of its mesh.

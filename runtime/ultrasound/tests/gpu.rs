@@ -59,6 +59,8 @@ fn images_agree() {
         let table = TissueTable::default();
         let mut cpu = Scanner::new(vec![organ.clone()], &table, probe, settings.clone()).expect("CPU");
         let mut twin = GpuScanner::new(&gpu, organ.clone(), &probe, &settings, &positions).expect("GPU");
+        let mut taken = Scanner::new(vec![organ.clone()], &table, probe, settings.clone()).expect("CPU");
+        assert!(taken.held().is_none());
         for (shift, tilt) in [(0.0, 0.0), (4.0, 0.3), (-11.0, -0.7)] {
             let face = [ORIGIN[0] + shift, ORIGIN[1] + 45.0, ORIGIN[2] + 3.0];
             let pose = ProbePose::looking(face, [tilt, -1.0, 0.2], [1.0, 0.0, tilt]).expect("pose");
@@ -85,6 +87,23 @@ fn images_agree() {
             assert!(shown > 8000, "{shown} pixels of the mesh");
             assert!(elsewhere <= 20, "{elsewhere} pixels differ in kind");
             assert!(worst < 0.1, "{worst} HU");
+            // As grey values with their metadata.
+            let own = cpu.image(&[&deformed], &pose).expect("image");
+            let (pixels, notes) = (own.pixels().to_vec(), own.metadata());
+            let same = twin.image_in(&mut taken, &pose).expect("image");
+            let apart = pixels
+                .iter()
+                .zip(same.pixels())
+                .filter(|(a, b)| a.abs_diff(**b) > 1);
+            assert!(apart.count() <= 20);
+            assert_eq!(same.metadata().inverted_tets, notes.inverted_tets);
+            assert_eq!(
+                (same.metadata().pose, same.metadata().notes),
+                (notes.pose, notes.notes)
+            );
+            let held = taken.held().expect("held");
+            assert_eq!(held.pose(), &pose);
+            assert_ne!(held.pixels(), vec![0; pixels.len()]);
         }
     }
     let settings = Settings {

@@ -14,6 +14,8 @@ mod solver;
 mod state;
 #[cfg(test)]
 mod tests;
+mod watch;
 
 pub use skin::SkinId;
 pub use solver::{GpuOptions, GpuSolver};
+pub use watch::Watch;

@@ -148,7 +148,7 @@ impl GpuSolver {
         }
     }
 
-    fn end(&mut self) {
+    pub(crate) fn end(&mut self) {
         self.solids.settle();
         self.steps += 1;
     }
@@ -236,18 +236,7 @@ impl GpuSolver {
         let mut out = vec![ContactReport::default(); rows.len()];
         // The device keeps solids in the order of priority.
         for (row, &k) in rows.iter().zip(&self.solids.order) {
-            let wide = |v: [f32; 3]| v.map(f64::from);
-            let (normal, area) = (f64::from(row.normal_force), f64::from(row.area_mm2));
-            out[k] = ContactReport {
-                force_n: wide(row.force),
-                smooth_force_n: wide(row.smooth_force),
-                torque_n_mm: wide(row.torque),
-                normal_force_n: normal,
-                area_mm2: area,
-                pressure_kpa: if area > 0.0 { normal / area * 1e3 } else { 0.0 },
-                contacts: row.contacts as usize,
-                depth_mm: row.depth_mm,
-            };
+            out[k] = row.told();
         }
         Ok(out)
     }
@@ -257,19 +246,8 @@ impl GpuSolver {
     /// # Errors
     /// As [`GpuSolver::positions`].
     pub fn clamps(&self) -> Result<ClampCounts, PbdError> {
-        let c: Vec<u64> = self
-            .gpu
-            .read::<u32>(&self.buffers.counts, COUNTS)?
-            .into_iter()
-            .map(u64::from)
-            .collect();
-        Ok(ClampCounts {
-            speed: c[0],
-            acceleration: c[1],
-            not_finite: c[2],
-            shape_contacts: c[3],
-            particle_contacts: c[4],
-        })
+        let counts: Vec<u32> = self.gpu.read(&self.buffers.counts, COUNTS)?;
+        Ok(clamp_counts(&counts))
     }
 
     /// Skins these points of body `b` in every step from now on.
@@ -317,7 +295,7 @@ impl GpuSolver {
         Ok(&self.skin(id)?.skinned)
     }
 
-    fn skin(&self, id: SkinId) -> Result<&Skin, PbdError> {
+    pub(crate) fn skin(&self, id: SkinId) -> Result<&Skin, PbdError> {
         self.skins.get(id.0).ok_or_else(|| PbdError::Unknown {
             kind: "set of skinned points",
             name: format!("number {}", id.0),
@@ -379,6 +357,36 @@ impl GpuSolver {
             kind: "collider",
             name: format!("number {k}"),
             known: names.collect::<Vec<_>>().join(", "),
+        }
+    }
+}
+
+/// Counters as the device keeps them.
+pub(crate) fn clamp_counts(counts: &[u32]) -> ClampCounts {
+    let of = |n: usize| counts.get(n).copied().map_or(0, u64::from);
+    ClampCounts {
+        speed: of(0),
+        acceleration: of(1),
+        not_finite: of(2),
+        shape_contacts: of(3),
+        particle_contacts: of(4),
+    }
+}
+
+impl Report {
+    /// As the CPU's solver tells it.
+    pub(crate) fn told(&self) -> ContactReport {
+        let wide = |v: [f32; 3]| v.map(f64::from);
+        let (normal, area) = (f64::from(self.normal_force), f64::from(self.area_mm2));
+        ContactReport {
+            force_n: wide(self.force),
+            smooth_force_n: wide(self.smooth_force),
+            torque_n_mm: wide(self.torque),
+            normal_force_n: normal,
+            area_mm2: area,
+            pressure_kpa: if area > 0.0 { normal / area * 1e3 } else { 0.0 },
+            contacts: self.contacts as usize,
+            depth_mm: self.depth_mm,
         }
     }
 }

@@ -3,7 +3,10 @@ use std::fmt::Write;
 
 /// Fiducials at every step: patient RAS mm, step 0 at rest.
 pub fn fiducials_csv(trace: &Trace) -> String {
-    let mut out = String::from("# patient RAS mm; step 0 is the rest position of the package\n");
+    let mut out = format!(
+        "# patient RAS mm; step 0 is the rest position of the package\n# {}\n",
+        crate::trace::UNCALIBRATED_MOTION
+    );
     out.push_str("step,time_s,stage,indentation_mm");
     for name in &trace.fiducials {
         let name = cell(name);
@@ -61,9 +64,12 @@ pub fn force_csv(trace: &Trace) -> String {
 
 /// Wall time of every part of every step, ms.
 pub fn timings_csv(trace: &Trace) -> String {
-    let mut out = String::from(
-        "# wall time, ms; total_ms = solver_ms + skinning_ms + image_ms; all_collision_ms = neighbours_ms + collision_ms\n\
+    let mut out = format!(
+        "# computed on {}\n\
+         # wall time, ms; total_ms = solver_ms + skinning_ms + image_ms; all_collision_ms = neighbours_ms + collision_ms\n\
+         # on a GPU parts are times on the device (0 where it takes none), and solver_ms holds the way there and back\n\
          step,time_s,stage",
+        trace.device.replace(['\n', '\r'], " ")
     );
     for p in PARTS {
         let _ = write!(out, ",{}_ms", p.replace(' ', "_"));

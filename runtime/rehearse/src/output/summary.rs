@@ -1,5 +1,5 @@
 use super::chart::{Line, Plot, bars, escaped, plot};
-use crate::trace::{PARTS, Spread, StepRow, Trace, UNCALIBRATED};
+use crate::trace::{PARTS, Spread, StepRow, Trace, UNCALIBRATED, UNCALIBRATED_GREY, UNCALIBRATED_MOTION};
 use std::fmt::Write;
 
 /// Colours of the parts of a step.
@@ -25,6 +25,8 @@ pub struct SummaryInput<'a> {
     pub preview: &'a [u8],
     /// Pictures: caption and PNG.
     pub pictures: &'a [(String, Vec<u8>)],
+    /// Whether there is an ultrasound image.
+    pub image: bool,
     /// The scene as resolved.
     pub scene: &'a str,
     /// Files of the folder: name and what it is.
@@ -41,6 +43,7 @@ impl<'a> SummaryInput<'a> {
             warnings: Vec::new(),
             preview: &[],
             pictures: &[],
+            image: false,
             scene: "",
             files: &[],
         }
@@ -59,6 +62,10 @@ pub fn summary_html(s: &SummaryInput) -> String {
         out.push_str("<p>No instrument touches the organ in this scene.</p>\n");
     } else {
         let _ = writeln!(out, "<p class=\"caution\">{UNCALIBRATED}</p>");
+    }
+    let _ = writeln!(out, "<p class=\"caution\">{UNCALIBRATED_MOTION}</p>");
+    if s.image {
+        let _ = writeln!(out, "<p class=\"caution\">{UNCALIBRATED_GREY}</p>");
     }
     for w in &s.warnings {
         let _ = writeln!(out, "<p class=\"caution\">{}</p>", escaped(w));
@@ -268,7 +275,7 @@ fn timings(out: &mut String, trace: &Trace) {
         points: over_time(trace, |s| 1e3 * get(s)),
     };
     out.push_str(&plot(&Plot {
-        title: "Wall time of a step (the paper's Figure 7)",
+        title: "Time of a step (the paper's Figure 7)",
         x: "time, s",
         y: "ms",
         lines: vec![

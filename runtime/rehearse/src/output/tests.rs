@@ -29,6 +29,7 @@ fn trace() -> Trace {
         })
         .collect();
     Trace {
+        device: "CPU, 2 threads".into(),
         instruments: vec!["probe, left".into()],
         fiducials: vec!["a".into(), "b\u{e9}".into()],
         fiducials_rest_mm: vec![[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]],

@@ -34,7 +34,7 @@ pub fn vtu(cloud: &PointCloud, time_s: f64) -> Vec<u8> {
     let count = cells.len() / corners;
     let mut data: Vec<u8> = Vec::new();
     let mut xml = String::from(
-        "<?xml version=\"1.0\"?>\n<!-- Palpate rehearsal, patient mm, SPACE=RAS -->\n\
+        "<?xml version=\"1.0\"?>\n<!-- Palpate rehearsal, patient mm, SPACE=RAS; stiffness not calibrated -->\n\
          <VTKFile type=\"UnstructuredGrid\" version=\"1.0\" byte_order=\"LittleEndian\" header_type=\"UInt64\">\n\
          <UnstructuredGrid>\n<FieldData>\n",
     );

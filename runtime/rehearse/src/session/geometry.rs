@@ -1,4 +1,6 @@
-use super::{Imaging, Session};
+use super::Session;
+use super::imaging::Imaging;
+use crate::RehearseError;
 use crate::motion::RigidPose;
 use crate::output::{PointCloud, VtuArray};
 use crate::render::{Camera, FrameText, GreyImage, Mesh, Picture, SceneGeometry, draw_frame};
@@ -42,7 +44,11 @@ impl Session {
     }
 
     /// The picture after the last step: the view at the left, the ultrasound image and the figures beside it.
-    pub fn picture(&mut self, camera: &Camera) -> Picture {
+    ///
+    /// # Errors
+    /// A GPU that was lost.
+    pub fn picture(&mut self, camera: &Camera) -> Result<Picture, RehearseError> {
+        self.read_back()?;
         for organ in &mut self.organs {
             organ.surface.shade();
             organ.structures.iter_mut().for_each(|s| s.shade());
@@ -60,8 +66,8 @@ impl Session {
             plane: self.imaging.as_ref().map(|i| self.plane(i)),
         };
         let view = &self.scene.view;
-        let image = self.image();
-        draw_frame(
+        let image = self.cropped();
+        Ok(draw_frame(
             &scene,
             camera,
             view.organ_opacity as f32,
@@ -69,12 +75,21 @@ impl Session {
             &self.text(),
             view.width_px as usize,
             view.height_px as usize,
-        )
+        ))
     }
 
-    /// The ultrasound image within the transducer's field of view; none where the scene asks for none.
-    pub fn image(&self) -> Option<CroppedImage> {
+    /// The ultrasound image after the last step within the transducer's field of view; none where the scene asks for none.
+    ///
+    /// # Errors
+    /// A GPU that was lost.
+    pub fn image(&mut self) -> Result<Option<CroppedImage>, RehearseError> {
+        self.read_back()?;
+        Ok(self.cropped())
+    }
+
+    fn cropped(&self) -> Option<CroppedImage> {
         let imaging = self.imaging.as_ref()?;
+        let whole = imaging.scanner.held()?;
         let grid = imaging.scanner.grid();
         let probe = imaging.scanner.probe();
         let centre = |column: usize| grid.plane([column as f64, 0.0])[0];
@@ -84,8 +99,8 @@ impl Session {
             + 0.5 * grid.pixel_mm;
         let inside: Vec<usize> = (0..grid.width_px).filter(|&c| centre(c).abs() <= half).collect();
         let (first, width) = (inside.first().copied()?, inside.len());
-        let grey = self
-            .grey
+        let grey = whole
+            .pixels()
             .chunks_exact(grid.width_px)
             .flat_map(|row| &row[first..first + width])
             .copied()
@@ -164,12 +179,12 @@ impl Session {
             .collect()
     }
 
-    /// The deformed surfaces of organs and structures in patient mm, with the displacement from rest.
+    /// The deformed surfaces of organs and structures in patient mm, with the displacement from rest. On a GPU those of the
+    /// last [`Session::read_back`].
     pub fn surface_clouds(&self, rest: &RestShape) -> Vec<(String, PointCloud<'_>)> {
         let mut out = Vec::new();
         for (organ, at_rest) in self.organs.iter().zip(&rest.surfaces) {
-            let meshes = std::iter::once(&organ.surface).chain(&organ.structures);
-            for (mesh, from) in meshes.zip(at_rest) {
+            for (mesh, from) in organ.meshes().zip(at_rest) {
                 let name = if mesh.name == organ.surface.name {
                     organ.name.clone()
                 } else {
@@ -190,24 +205,28 @@ impl Session {
     }
 
     /// The particles of all organs in patient mm with displacement, speed and body.
-    pub fn particle_cloud(&self, rest: &RestShape) -> PointCloud<'static> {
-        let at = self.solver.positions();
+    ///
+    /// # Errors
+    /// A GPU that was lost.
+    pub fn particle_cloud(&self, rest: &RestShape) -> Result<PointCloud<'static>, RehearseError> {
+        let at = self.engine.positions()?;
         let mut body = vec![0.0; at.len()];
-        for (n, b) in self.solver.bodies().iter().enumerate() {
+        for (n, b) in self.engine.bodies().iter().enumerate() {
             if let Some(part) = body.get_mut(b.particles.clone()) {
                 part.fill(n as f32);
             }
         }
-        let speed = self.solver.velocities().map(|v| Vec3::from(v).length()).collect();
-        PointCloud {
-            points_mm: super::patient(at, self.origin),
+        let velocities = self.engine.velocities()?;
+        let speed = velocities.iter().map(|&v| Vec3::from(v).length()).collect();
+        Ok(PointCloud {
+            points_mm: super::patient(&at, self.origin),
             triangles: &[],
             arrays: vec![
-                VtuArray::Vectors("displacement_mm".into(), displacement(at, &rest.particles)),
+                VtuArray::Vectors("displacement_mm".into(), displacement(&at, &rest.particles)),
                 VtuArray::Scalars("speed_mm_s".into(), speed),
                 VtuArray::Scalars("body".into(), body),
             ],
-        }
+        })
     }
 
     /// The supports in patient mm.
@@ -235,20 +254,18 @@ impl Session {
     }
 
     /// Positions as they are now, to measure displacements from.
-    pub fn rest_shape(&self) -> RestShape {
-        RestShape {
+    ///
+    /// # Errors
+    /// A GPU that was lost.
+    pub fn rest_shape(&self) -> Result<RestShape, RehearseError> {
+        Ok(RestShape {
             surfaces: self
                 .organs
                 .iter()
-                .map(|o| {
-                    std::iter::once(&o.surface)
-                        .chain(&o.structures)
-                        .map(|m| m.mesh.vertices.clone())
-                        .collect()
-                })
+                .map(|o| o.meshes().map(|m| m.mesh.vertices.clone()).collect())
                 .collect(),
-            particles: self.solver.positions().to_vec(),
-        }
+            particles: self.engine.positions()?.into_owned(),
+        })
     }
 }
 

@@ -1,11 +1,14 @@
 //! A session: packages, solver, support and instruments, stepped along the timeline.
 
+mod engine;
 mod geometry;
+mod imaging;
 mod load;
 mod organ;
 mod support;
 mod tool;
 
+pub use engine::Device;
 pub use geometry::{CroppedImage, RestShape};
 pub use load::{Loaded, load};
 
@@ -14,10 +17,12 @@ use crate::motion::{RigidPose, Timeline};
 use crate::render::Mesh;
 use crate::scene::{ContactState, Scene};
 use crate::trace::{Contact, StageRow, StepRow, StepTimes, Trace};
+use engine::{Engine, GpuEngine};
 use glam::{DVec3, Vec3};
+use imaging::Imaging;
 use organ::Organ;
+use palpate_gpu::Gpu;
 use palpate_pbd::{Collider, Pose, SoftBody, Solver, TriangleMesh};
-use palpate_ultrasound::{Image, ProbePose, Scanner};
 use std::time::Instant;
 use tool::{Form, Target, first_contact, solver_pose, start_pose};
 
@@ -30,27 +35,6 @@ struct Tool {
     inner: DVec3,
     now: RigidPose,
     mesh: Mesh,
-}
-
-/// The ultrasound image of a session.
-struct Imaging {
-    scanner: Scanner,
-    tool: usize,
-    inverted_tets: u32,
-}
-
-impl Imaging {
-    fn take(&mut self, tools: &[Tool], organs: &[Organ], origin: DVec3) -> Result<Image<'_>, RehearseError> {
-        let pose = tools[self.tool].now;
-        let unit = |v: DVec3| (pose.rotation * v).to_array();
-        let probe = ProbePose::looking(
-            (pose.position + origin).to_array(),
-            unit(DVec3::Z),
-            unit(DVec3::X),
-        )?;
-        let deformed: Vec<&[[f32; 3]]> = organs.iter().map(|o| o.embedding_local.as_slice()).collect();
-        Ok(self.scanner.image(&deformed, &probe)?)
-    }
 }
 
 /// How large a session's problem is, over all organs.
@@ -71,13 +55,13 @@ pub struct SessionSize {
 pub struct Session {
     scene: Scene,
     timeline: Timeline,
-    solver: Solver,
+    engine: Engine,
     organs: Vec<Organ>,
+    /// The step that surfaces and structures show.
+    shown: u32,
     supports: Vec<Mesh>,
     tools: Vec<Tool>,
     imaging: Option<Imaging>,
-    /// Pixels of the last image.
-    grey: Vec<u8>,
     origin: DVec3,
     contact_mm: f64,
     size: SessionSize,
@@ -89,11 +73,19 @@ pub struct Session {
 }
 
 impl Session {
-    /// Sets a session up on this many threads (0: one per core).
+    /// Sets a session up on the CPU with this many threads (0: one per core).
     ///
     /// # Errors
     /// A package without organ surface; whatever the solver or the ultrasound refuses.
     pub fn new(scene: Scene, packages: &[Loaded], threads: usize) -> Result<Self, RehearseError> {
+        Self::on(&Device::Cpu { threads }, scene, packages)
+    }
+
+    /// Sets a session up on a device.
+    ///
+    /// # Errors
+    /// As [`Session::new`]; a GPU that is lost, too small or out of memory.
+    pub fn on(device: &Device, scene: Scene, packages: &[Loaded]) -> Result<Self, RehearseError> {
         let first = packages.first().ok_or_else(|| RehearseError::Unusable {
             problem: "the scene names no package; give one with --package".into(),
             path: scene.name.clone().into(),
@@ -143,13 +135,24 @@ impl Session {
             ..scene.solver.clone()
         };
         let timeline = Timeline::new(&scene, settings.dt_s);
-        let imaging = imaging(&scene, packages)?;
-        let solver = Solver::with_threads(
-            palpate_pbd::Scene::new(bodies, supports.colliders),
-            settings,
-            threads,
-        )?;
+        let imaging = Imaging::new(&scene, packages)?;
+        let bodies = palpate_pbd::Scene::new(bodies, supports.colliders);
+        let engine = match device {
+            Device::Cpu { threads } => {
+                Engine::Cpu(Box::new(Solver::with_threads(bodies, settings, *threads)?))
+            }
+            Device::Gpu(gpu) => {
+                let made = GpuEngine::new(gpu, &bodies, &settings, &organs, imaging.as_ref())?;
+                if let Some(why) = imaging.as_ref().and_then(Imaging::by_cpu) {
+                    warnings.push(format!("The CPU makes the ultrasound image: {why}."));
+                }
+                Engine::Gpu(Box::new(made))
+            }
+        };
+        warnings.extend(engine.cautions());
+        let lead = &organs[0];
         let trace = Trace {
+            device: engine.device(),
             instruments: tools.iter().map(|t| t.name.clone()).collect(),
             fiducials: lead.fiducial_names.clone(),
             fiducials_rest_mm: patient(&lead.fiducials.points, origin),
@@ -167,12 +170,12 @@ impl Session {
         let mut out = Self {
             scene,
             timeline,
-            solver,
+            engine,
             organs,
+            shown: 0,
             supports: supports.meshes,
             tools,
             imaging,
-            grey: Vec::new(),
             origin,
             contact_mm,
             size,
@@ -195,9 +198,14 @@ impl Session {
         &self.timeline
     }
 
-    /// The solver.
-    pub fn solver(&self) -> &Solver {
-        &self.solver
+    /// The GPU that computes the session; none on the CPU.
+    pub fn gpu(&self) -> Option<&Gpu> {
+        self.engine.gpu()
+    }
+
+    /// What computes the session, in words.
+    pub fn device(&self) -> String {
+        self.engine.device()
     }
 
     /// Steps made.
@@ -213,6 +221,11 @@ impl Session {
     /// What the user should know of packages and scene.
     pub fn warnings(&self) -> &[String] {
         &self.warnings
+    }
+
+    /// Adds to what the user should know.
+    pub fn warn(&mut self, notes: impl IntoIterator<Item = String>) {
+        self.warnings.extend(notes);
     }
 
     /// Distance kept between solids and particle centres, mm: how deep particles lie below the organ's surface on average.
@@ -258,21 +271,21 @@ impl Session {
     }
 
     /// Finds the way to the settled organ when its time has come.
-    fn seat(&mut self) {
+    fn seat(&mut self) -> Result<(), RehearseError> {
         let (Some(k), Some([from, _])) = (self.timeline.pressed(), self.timeline.seating()) else {
-            return;
+            return Ok(());
         };
         let settled = self
             .scene
             .press
             .as_ref()
             .is_some_and(|p| p.contact == ContactState::Settled);
-        let Some(i) = self.scene.instruments.get(k) else {
-            return;
-        };
-        if !settled || self.step != from || i.pose.position_mm.is_some() {
-            return;
+        let absolute = |i: &crate::scene::Instrument| i.pose.position_mm.is_some();
+        if !settled || self.step != from || self.scene.instruments.get(k).is_none_or(absolute) {
+            return Ok(());
         }
+        self.read_surfaces()?;
+        let i = &self.scene.instruments[k];
         let surface = &self.organs[0].surface.mesh;
         let target = Target {
             vertices: &surface.vertices,
@@ -281,6 +294,7 @@ impl Session {
         };
         let way = first_contact(&Form::new(i), self.tools[k].start, &target);
         self.seat_mm = way.map_or(0.0, |w| w - i.pose.gap_mm);
+        Ok(())
     }
 
     /// Puts instruments at once where they start. Only before the first step.
@@ -289,7 +303,7 @@ impl Session {
     /// As the solver's: poses that are not finite, or more than there are instruments.
     pub fn place(&mut self, poses: &[Pose]) -> Result<(), RehearseError> {
         for (t, &pose) in self.tools.iter().zip(poses) {
-            self.solver.place(t.collider, pose)?;
+            self.engine.place(t.collider, pose)?;
         }
         Ok(())
     }
@@ -310,7 +324,7 @@ impl Session {
     pub fn advance(&mut self, poses: &[Pose]) -> Result<&StepRow, RehearseError> {
         self.step += 1;
         for (t, &pose) in self.tools.iter_mut().zip(poses) {
-            self.solver.set_pose(t.collider, pose)?;
+            self.engine.set_pose(t.collider, pose)?;
             let q = pose.rotation;
             let turned = RigidPose {
                 position: pose.translation.as_dvec3(),
@@ -321,34 +335,87 @@ impl Session {
                 ..turned
             };
         }
-        self.solver.step();
-        for (n, organ) in self.organs.iter_mut().enumerate() {
-            organ.follow(&mut self.solver, n)?;
-        }
-        let before = Instant::now();
-        self.scan()?;
-        let image_s = before.elapsed().as_secs_f64();
-        let row = self.measure(image_s);
+        let mut times = match &mut self.engine {
+            Engine::Cpu(solver) => {
+                solver.step();
+                for (n, organ) in self.organs.iter_mut().enumerate() {
+                    organ.follow(solver, n)?;
+                }
+                self.shown = self.step;
+                let t = solver.timings();
+                StepTimes {
+                    parts: [
+                        t.integrate_s,
+                        t.neighbours_s,
+                        t.collision_s,
+                        t.contacts_s,
+                        t.shape_matching_s,
+                        t.frames_s,
+                        t.skinning_s,
+                        0.0,
+                    ],
+                    solver_s: t.total_s,
+                }
+            }
+            Engine::Gpu(gpu) => {
+                if let Some(i) = &self.imaging {
+                    gpu.aim(&i.pose(&self.tools, self.origin)?)?;
+                }
+                gpu.step(&mut self.organs)?;
+                gpu.times()
+            }
+        };
+        times.parts[7] += self.scan()?;
+        let row = self.measure(times);
         self.trace.steps.push(row);
-        self.seat();
+        self.seat()?;
         // Just pushed.
         Ok(&self.trace.steps[self.trace.steps.len() - 1])
     }
 
-    /// The image of the deformed organs at the transducer's pose.
-    fn scan(&mut self) -> Result<(), RehearseError> {
+    /// The image of the deformed organs at the transducer's pose; the CPU's time for it, s. A GPU has made it with the step.
+    fn scan(&mut self) -> Result<f64, RehearseError> {
         let Some(imaging) = &mut self.imaging else {
-            return Ok(());
+            return Ok(0.0);
         };
-        let image = imaging.take(&self.tools, &self.organs, self.origin)?;
-        let inverted = u32::try_from(image.inverted_tets()).unwrap_or(u32::MAX);
-        let pixels = image.pixels();
-        // The scanner keeps its buffer; pictures are made later.
-        let mut grey = std::mem::take(&mut self.grey);
-        grey.clear();
-        grey.extend_from_slice(pixels);
-        self.grey = grey;
-        imaging.inverted_tets = inverted;
+        let before = Instant::now();
+        match &self.engine {
+            // Before the first step nothing is on the GPU.
+            Engine::Gpu(gpu) if gpu.scanner().is_some() && self.step > 0 => {
+                imaging.made(gpu.inverted_tets());
+                return Ok(0.0);
+            }
+            _ => {
+                let pose = imaging.pose(&self.tools, self.origin)?;
+                imaging.scan(&self.organs, &pose)?;
+            }
+        }
+        Ok(before.elapsed().as_secs_f64())
+    }
+
+    /// Brings surfaces, structures and the image of the last step here where a GPU has them. Pictures and images do this by
+    /// themselves; point clouds show what was brought last.
+    ///
+    /// # Errors
+    /// A GPU that was lost.
+    pub fn read_back(&mut self) -> Result<(), RehearseError> {
+        self.read_surfaces()?;
+        if let (Some(i), Engine::Gpu(gpu)) = (&mut self.imaging, &self.engine)
+            && let Some(scanner) = gpu.scanner()
+        {
+            let pose = i.pose(&self.tools, self.origin)?;
+            i.fetch(scanner, &pose)?;
+        }
+        Ok(())
+    }
+
+    fn read_surfaces(&mut self) -> Result<(), RehearseError> {
+        if let Engine::Gpu(gpu) = &mut self.engine
+            && self.shown != self.step
+        {
+            gpu.read_surfaces(&mut self.organs)?;
+            self.shown = self.step;
+        }
         Ok(())
     }
 
@@ -356,21 +423,21 @@ impl Session {
     /// for none.
     ///
     /// # Errors
-    /// The image's.
+    /// The encoder's; a GPU that was lost.
     pub fn image_files(&mut self) -> Result<Option<(Vec<u8>, String)>, RehearseError> {
-        let Some(imaging) = &mut self.imaging else {
-            return Ok(None);
-        };
-        let image = imaging.take(&self.tools, &self.organs, self.origin)?;
-        Ok(Some((image.nifti(), image.metadata().json()?)))
+        self.read_back()?;
+        match self.imaging.as_ref().and_then(|i| i.scanner.held()) {
+            Some(image) => Ok(Some((image.nifti(), image.metadata().json()?))),
+            None => Ok(None),
+        }
     }
 
-    fn measure(&self, image_s: f64) -> StepRow {
+    fn measure(&self, times: StepTimes) -> StepRow {
         let contacts = self
             .tools
             .iter()
             .map(|t| {
-                let Some(c) = self.solver.contacts().get(t.collider) else {
+                let Some(c) = self.engine.contacts().get(t.collider) else {
                     return Contact::default();
                 };
                 // From the collider's origin to the front's middle.
@@ -388,8 +455,7 @@ impl Session {
                 }
             })
             .collect();
-        let t = self.solver.timings();
-        let clamps = self.solver.clamps();
+        let clamps = self.engine.clamps();
         StepRow {
             step: self.step,
             time_s: self.timeline.time_s(self.step),
@@ -401,19 +467,7 @@ impl Session {
                 .unwrap_or(self.timeline.stages().len().saturating_sub(1)),
             indentation_mm: self.timeline.indentation_mm(self.step),
             contacts,
-            times: StepTimes {
-                parts: [
-                    t.integrate_s,
-                    t.neighbours_s,
-                    t.collision_s,
-                    t.contacts_s,
-                    t.shape_matching_s,
-                    t.frames_s,
-                    t.skinning_s,
-                    image_s,
-                ],
-                solver_s: t.total_s,
-            },
+            times,
             fiducials_mm: patient(&self.organs[0].fiducials.points, self.origin),
             clamps: clamps.speed
                 + clamps.acceleration
@@ -421,7 +475,7 @@ impl Session {
                 + clamps.shape_contacts
                 + clamps.particle_contacts,
             inverted_tets: self.imaging.as_ref().map_or(0, |i| i.inverted_tets),
-            digest: self.solver.digest(),
+            digest: self.engine.digest(),
         }
     }
 }
@@ -492,24 +546,4 @@ fn extent(points: &[[f32; 3]]) -> f32 {
             (lo.min(p.into()), hi.max(p.into()))
         });
     (hi - lo).max(Vec3::ZERO).to_array().iter().product()
-}
-
-fn imaging(scene: &Scene, packages: &[Loaded]) -> Result<Option<Imaging>, RehearseError> {
-    let Some(image) = &scene.image else {
-        return Ok(None);
-    };
-    let tool = scene
-        .instruments
-        .iter()
-        .position(|i| i.name == image.instrument)
-        .unwrap_or(0);
-    let organs = packages
-        .iter()
-        .map(|p| palpate_ultrasound::Organ::new(&p.model, &image.tissues))
-        .collect::<Result<Vec<_>, _>>()?;
-    Ok(Some(Imaging {
-        scanner: Scanner::new(organs, &image.tissues, image.probe, image.settings.clone())?,
-        tool,
-        inverted_tets: 0,
-    }))
 }

@@ -11,7 +11,7 @@ use palpate_skinning::{SkinParams, bind};
 /// A surface that follows the solver.
 pub(super) struct SkinnedMesh {
     pub(super) name: String,
-    skin: SkinnedPoints,
+    pub(super) skin: SkinnedPoints,
     /// Vertices as they are; normals are made when a picture asks.
     pub(super) mesh: Mesh,
 }
@@ -37,7 +37,7 @@ impl SkinnedMesh {
 /// Points that follow the solver.
 #[derive(Default)]
 pub(super) struct Follow {
-    skin: SkinnedPoints,
+    pub(super) skin: SkinnedPoints,
     pub(super) points: Vec<[f32; 3]>,
 }
 
@@ -133,8 +133,7 @@ impl Organ {
 
     /// Moves everything that follows body `index`; the solver counts the time.
     pub(super) fn follow(&mut self, solver: &mut Solver, index: usize) -> Result<(), RehearseError> {
-        let surfaces = std::iter::once(&mut self.surface).chain(&mut self.structures);
-        for s in surfaces {
+        for s in self.meshes_mut() {
             solver.skin(index, &s.skin, &mut s.mesh.vertices)?;
         }
         for f in [&mut self.embedding, &mut self.fiducials] {
@@ -144,7 +143,18 @@ impl Organ {
         Ok(())
     }
 
-    fn local_embedding(&mut self) {
+    /// The surface, then the structures.
+    pub(super) fn meshes(&self) -> impl Iterator<Item = &SkinnedMesh> {
+        std::iter::once(&self.surface).chain(&self.structures)
+    }
+
+    /// The surface, then the structures.
+    pub(super) fn meshes_mut(&mut self) -> impl Iterator<Item = &mut SkinnedMesh> {
+        std::iter::once(&mut self.surface).chain(&mut self.structures)
+    }
+
+    /// Takes the embedding to the package's own frame.
+    pub(super) fn local_embedding(&mut self) {
         for (out, &p) in self.embedding_local.iter_mut().zip(&self.embedding.points) {
             *out = (Vec3::from(p) - self.shift).to_array();
         }
