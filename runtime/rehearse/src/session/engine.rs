@@ -4,7 +4,7 @@ use super::imaging::Imaging;
 use super::organ::Organ;
 use crate::RehearseError;
 use crate::trace::StepTimes;
-use palpate_gpu::{AdapterKind, Batch, Gpu, PartTime, Piece};
+use palpate_gpu::{AdapterKind, AdapterReport, Batch, Gpu, PartTime, Piece};
 use palpate_pbd::{
     BodyInfo, ClampCounts, ContactReport, GpuSolver, PbdError, Pose, Scene, Settings, SkinId, Solver, Watch,
 };
@@ -243,7 +243,12 @@ impl Engine {
     pub(super) fn device(&self) -> String {
         match self {
             Self::Cpu(s) => format!("CPU, {} threads", s.threads()),
-            Self::Gpu(g) => g.solver.gpu().adapter().to_string(),
+            // Why `auto` would not take it is another matter.
+            Self::Gpu(g) => AdapterReport {
+                refused: None,
+                ..g.solver.gpu().adapter().clone()
+            }
+            .to_string(),
         }
     }
 
