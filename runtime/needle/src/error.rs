@@ -1,0 +1,110 @@
+use thiserror::Error;
+
+/// Why a needle, a motion or a step was refused.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum NeedleError {
+    /// A parameter out of range.
+    #[error("parameter {name}: found {found}, expected {expected}")]
+    Parameter {
+        /// Field of a parameter struct, or argument.
+        name: &'static str,
+        /// Value found.
+        found: f64,
+        /// What is allowed.
+        expected: &'static str,
+    },
+    /// An array that does not fit the needle.
+    #[error("{what}: found {found} entries, expected {expected}")]
+    Count {
+        /// Array.
+        what: &'static str,
+        /// Entries found.
+        found: usize,
+        /// What was expected.
+        expected: String,
+    },
+    /// A position, velocity or load that is not a finite number.
+    #[error(
+        "{what} of needle node {node} is not finite: the step is too long or the loads too large; halve the time step"
+    )]
+    NotFinite {
+        /// Quantity.
+        what: &'static str,
+        /// Node, 0 at the base.
+        node: usize,
+    },
+    /// Two nodes in the same place.
+    #[error("needle edge {edge} has length {length_mm} mm: neighbouring nodes must lie apart; merge them")]
+    ShortEdge {
+        /// Edge, 0 at the base.
+        edge: usize,
+        /// Length found, mm.
+        length_mm: f64,
+    },
+    /// The needle bends back on itself.
+    #[error(
+        "needle bends back on itself at node {node} (turns by {angle_deg:.1} degrees there): use shorter edges or a smaller load"
+    )]
+    Folded {
+        /// Node, 0 at the base.
+        node: usize,
+        /// Turning angle, degrees.
+        angle_deg: f64,
+    },
+    /// The sleeve would swallow more than the edge in front of it can give.
+    #[error(
+        "the edge in front of the sleeve would have length {length_mm} mm: retract more slowly, merge nodes first, or stop (the needle is all in the sleeve)"
+    )]
+    SleeveEdge {
+        /// Rest length that the motion asks for, mm.
+        length_mm: f64,
+    },
+    /// A pivot of the banded factorisation that is not positive definite.
+    #[error(
+        "matrix is not positive definite at needle node {node}: the step is too long for a needle that is buckling; halve it"
+    )]
+    NotPositiveDefinite {
+        /// Node (block row).
+        node: usize,
+    },
+    /// An iteration that did not settle.
+    #[error(
+        "{what} did not settle within {iterations} iterations (residual {residual:.3e}, wanted {tolerance:.3e})"
+    )]
+    NotSettled {
+        /// Iteration.
+        what: &'static str,
+        /// Iterations spent.
+        iterations: usize,
+        /// Residual left, in units of `tolerance`'s.
+        residual: f64,
+        /// Residual asked for.
+        tolerance: f64,
+    },
+}
+
+/// `Ok` where `ok`, else the parameter error.
+pub(crate) fn check(
+    ok: bool,
+    name: &'static str,
+    found: f64,
+    expected: &'static str,
+) -> Result<(), NeedleError> {
+    if ok {
+        Ok(())
+    } else {
+        Err(NeedleError::Parameter {
+            name,
+            found,
+            expected,
+        })
+    }
+}
+
+/// First entry that is not finite is an error.
+pub(crate) fn check_finite(what: &'static str, values: &[glam::DVec3]) -> Result<(), NeedleError> {
+    match values.iter().position(|v| !v.is_finite()) {
+        None => Ok(()),
+        Some(node) => Err(NeedleError::NotFinite { what, node }),
+    }
+}

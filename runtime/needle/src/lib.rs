@@ -1,0 +1,28 @@
+//! The needle: a discrete elastic rod that bends, twists and is steered from its base (Chentanez et al. 2009; Bergou et al.
+//! 2008; Spillmann and Teschner 2007).
+//!
+//! From: what a needle is made of ([`NeedleParams`]), where it starts, how its base moves ([`BaseMotion`]), what acts on it
+//! ([`Loads`]).
+//! Makes: its motion, alone ([`Rod::step`], [`Rod::equilibrium`]) or as the block-banded part of a system coupled with tissue
+//! ([`Rod::begin_step`], [`StepSystem`], [`Rod::finish_step`]); interpolation of its quantities when its nodes change.
+//! Refuses: parameters out of range, nodes that make no needle, a needle bent back on itself, more retraction than there is.
+//!
+//! Units: mm, g, s; so force is µN, stress Pa, energy nJ.
+#![forbid(unsafe_code)]
+
+mod akima;
+mod banded;
+mod error;
+mod frame;
+mod params;
+mod rod;
+
+pub use akima::Akima;
+pub use banded::{BandFactor, BlockBand};
+pub use error::NeedleError;
+pub use frame::{MaterialFrame, transport};
+pub use params::{NeedleParams, PreBend, Stiffness, gauge_outer_diameter_mm};
+pub use rod::{
+    BaseMotion, EdgeLimits, Energy, Equilibrium, EquilibriumParams, Evaluation, Held, Loads, NewmarkParams,
+    RefineReport, Rod, StepReport, StepSystem, Tangent,
+};
