@@ -380,5 +380,8 @@ fn facts(session: &Session, packages: &[Loaded], report: &RunReport) -> Vec<(Str
             1e3 / report.step_ms.mean.max(1e-9)
         ),
     ));
+    if let Some(by) = session.image_device() {
+        out.push(("ultrasound image".into(), format!("of every step, made on {by}")));
+    }
     out
 }

@@ -60,7 +60,9 @@ fn a_session_leaves_everything_that_the_scene_asks_for() {
     assert_eq!(reader.info().animation_control.unwrap().num_frames, 6);
     let page = d.read("out/summary.html");
     for part in [
-        "not calibrated",
+        "Contact forces, torques and pressures follow from a stiffness that is not calibrated",
+        "The deformation follows from a stiffness that is not calibrated",
+        "Grey values of the ultrasound images are not calibrated",
         "Figure 7",
         "After two: 1.2 mm",
         "data:image/png;base64,",
@@ -68,6 +70,18 @@ fn a_session_leaves_everything_that_the_scene_asks_for() {
     ] {
         assert!(page.contains(part), "{part}");
     }
+    let metadata = d.read("out/images/image-00024.json");
+    assert!(
+        metadata.contains("grey values are not calibrated")
+            && metadata.contains("stiffness that is not calibrated"),
+        "{metadata}"
+    );
+    let nifti = std::fs::read(d.path("out/images/image-00024.nii")).unwrap();
+    let description = String::from_utf8_lossy(&nifti[148..228]);
+    assert!(
+        description.contains("grey values and stiffness are not calibrated"),
+        "{description}"
+    );
     // Step 0 and 24 steps of 7 points; the probe sinks in, so points move and the probe feels them.
     let fiducials = d.read("out/fiducials.csv");
     let rows: Vec<Vec<f64>> = fiducials

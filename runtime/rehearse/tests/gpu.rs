@@ -88,7 +88,8 @@ fn a_session_on_a_gpu_agrees_with_the_cpus() {
             .as_str(),
     );
     assert_eq!(a, b);
-    assert!(d.read("gpu/summary.html").contains(name));
+    let page = d.read("gpu/summary.html");
+    assert!(page.contains(name) && page.contains("made on the GPU"));
     assert!(d.read("gpu/timings.csv").contains(name));
     let times = rows(&d.read("gpu/timings.csv"));
     assert!(times.iter().all(|t| t[13] > 0.0), "total");

@@ -4,7 +4,7 @@ use crate::organ::Organ;
 use crate::vector::{apply, apply_linear, cross, sub};
 use crate::{Background, Image, PixelGrid, Probe, ProbePose, Scanner, Settings, UltrasoundError};
 use bytemuck::{Pod, Zeroable};
-use palpate_gpu::{Gpu, Kernel, Piece, Recording, Shader, wgpu};
+use palpate_gpu::{Batch, Gpu, Kernel, Piece, Recording, Shader, wgpu};
 
 const SLICE: &str = include_str!("../../../shaders/slice.wgsl");
 
@@ -48,6 +48,8 @@ pub struct GpuScanner {
     image: wgpu::Buffer,
     kinds: wgpu::Buffer,
     recording: Recording,
+    /// Brings values, kinds and the count of inverted tets back at once.
+    back: Batch,
 }
 
 impl GpuScanner {
@@ -139,7 +141,20 @@ impl GpuScanner {
             let group = kernel.bind(gpu, &bound)?;
             recording.run("image", &kernel, &group, count);
         }
+        let piece = |buffer: &wgpu::Buffer, offset, bytes| Piece {
+            buffer: buffer.clone(),
+            offset,
+            bytes,
+        };
+        let whole = 4 * pixels as u64;
+        let pieces = [
+            piece(&image, 0, whole),
+            piece(&kinds, 0, whole),
+            piece(&owners, whole, 4),
+        ];
+        let back = Batch::new(gpu, &[], &pieces, false)?;
         Ok(Self {
+            back,
             gpu: gpu.clone(),
             organ,
             grid,
@@ -202,7 +217,7 @@ impl GpuScanner {
     /// - [`UltrasoundError::Setting`] where the scanner's level needs sound, or its pixels are others.
     /// - [`UltrasoundError::Gpu`] where the device was lost.
     pub fn image_in<'a>(
-        &self,
+        &mut self,
         scanner: &'a mut Scanner,
         pose: &ProbePose,
     ) -> Result<Image<'a>, UltrasoundError> {
@@ -219,14 +234,19 @@ impl GpuScanner {
             let found = format!("{:?}", scanner.grid);
             return Err(refuse("width_px", found, "the pixels of the image on the GPU"));
         }
-        let (hu, kinds) = (self.hu()?, self.kinds()?);
-        scanner.cut.inverted_tets = self.inverted_tets()?;
+        self.back.run(&self.gpu)?;
+        let word = |bytes: &[u8]| bytes.try_into().map_or(0, u32::from_le_bytes);
+        scanner.cut.inverted_tets = word(self.back.piece(2)) as usize;
         scanner.cut.polygons.clear();
         let s = &mut scanner.slice;
         s.polygon.fill(crate::coverage::NONE);
-        s.hu.copy_from_slice(&hu);
-        for (n, (label, source)) in kinds.into_iter().enumerate() {
-            (s.label[n], s.source[n]) = (label, source);
+        let values = self.back.piece(0).chunks_exact(4);
+        s.hu.iter_mut()
+            .zip(values)
+            .for_each(|(out, b)| *out = f32::from_bits(word(b)));
+        let kinds = self.back.piece(1).chunks_exact(4).map(word);
+        for (out, w) in s.label.iter_mut().zip(&mut s.source).zip(kinds) {
+            (*out.0, *out.1) = (w as u16, (w >> 16) as u8);
         }
         scanner.map_grey();
         Ok(scanner.hold(pose))

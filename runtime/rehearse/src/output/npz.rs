@@ -1,4 +1,4 @@
-use crate::trace::{Contact, PARTS, StepRow, Trace, UNCALIBRATED};
+use crate::trace::{Contact, PARTS, StepRow, Trace, UNCALIBRATED, UNCALIBRATED_MOTION};
 use std::io::{Cursor, Write};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
@@ -7,7 +7,7 @@ use zip::{CompressionMethod, ZipWriter};
 /// `step`, `time_s`, `stage`, `indentation_mm`, `clamps` (n); `fiducials_mm` (n, f, 3), `fiducials_rest_mm` (f, 3),
 /// `fiducial_names` (f); `force_n`, `smooth_force_n`, `torque_n_mm` (n, i, 3), `normal_force_n`, `area_mm2`,
 /// `pressure_kpa` (n, i), `instrument_names` (i); `timings_s` (n, p), `timing_names` (p), `total_s`, `collision_s` (n);
-/// `stage_names`, `stage_last_step`, `stage_indentation_mm`; `note`.
+/// `stage_names`, `stage_last_step`, `stage_indentation_mm`; `device`; `note`, what must not be read into them.
 ///
 /// # Errors
 /// The zip writer's: only where the file would pass 4 GiB.
@@ -71,7 +71,11 @@ pub fn trace_npz(trace: &Trace) -> zip::result::ZipResult<Vec<u8>> {
     put("stage_last_step", floats(&[stages], &ends))?;
     let depths: Vec<f64> = trace.stages.iter().map(|s| s.indentation_mm).collect();
     put("stage_indentation_mm", floats(&[stages], &depths))?;
-    put("note", texts(&[UNCALIBRATED.to_string()]))?;
+    put("device", texts(std::slice::from_ref(&trace.device)))?;
+    put(
+        "note",
+        texts(&[UNCALIBRATED, UNCALIBRATED_MOTION].map(String::from)),
+    )?;
     Ok(zip.finish()?.into_inner())
 }
 

@@ -35,7 +35,7 @@ pub(super) enum Engine {
 pub(super) struct GpuEngine {
     solver: GpuSolver,
     watch: Watch,
-    /// By organ: whether its embedding comes back, and how many meshes it has.
+    /// Whether the embeddings come back with a step.
     embedding_back: bool,
     /// All surfaces and structures, read when a picture wants them.
     surfaces: Batch,
@@ -124,9 +124,14 @@ impl GpuEngine {
         self.times
     }
 
+    /// Whether a step makes the image as well.
+    pub(super) fn has_scanner(&self) -> bool {
+        self.scanner.is_some()
+    }
+
     /// The scanner that made the image with the last step; none where the CPU makes it.
-    pub(super) fn scanner(&self) -> Option<&GpuScanner> {
-        self.scanner.as_ref()
+    pub(super) fn scanner(&mut self) -> Option<&mut GpuScanner> {
+        self.scanner.as_mut()
     }
 
     /// Inverted tets in the image of the last step.

@@ -92,7 +92,7 @@ impl Imaging {
     }
 
     /// Takes the image from the GPU unless it is here already.
-    pub(super) fn fetch(&mut self, from: &GpuScanner, pose: &ProbePose) -> Result<(), RehearseError> {
+    pub(super) fn fetch(&mut self, from: &mut GpuScanner, pose: &ProbePose) -> Result<(), RehearseError> {
         if self.waiting {
             from.image_in(&mut self.scanner, pose)?;
             self.waiting = false;

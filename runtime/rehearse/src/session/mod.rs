@@ -208,6 +208,15 @@ impl Session {
         self.engine.device()
     }
 
+    /// What makes the ultrasound image of a step; none where the scene asks for none.
+    pub fn image_device(&self) -> Option<&'static str> {
+        self.imaging.as_ref().map(|_| match &self.engine {
+            Engine::Gpu(gpu) if gpu.has_scanner() => "the GPU, with the step",
+            Engine::Gpu(_) => "the CPU, from vertices that the GPU gives back with the step",
+            Engine::Cpu(_) => "the CPU",
+        })
+    }
+
     /// Steps made.
     pub fn step_number(&self) -> u32 {
         self.step
@@ -381,7 +390,7 @@ impl Session {
         let before = Instant::now();
         match &self.engine {
             // Before the first step nothing is on the GPU.
-            Engine::Gpu(gpu) if gpu.scanner().is_some() && self.step > 0 => {
+            Engine::Gpu(gpu) if gpu.has_scanner() && self.step > 0 => {
                 imaging.made(gpu.inverted_tets());
                 return Ok(0.0);
             }
@@ -400,7 +409,7 @@ impl Session {
     /// A GPU that was lost.
     pub fn read_back(&mut self) -> Result<(), RehearseError> {
         self.read_surfaces()?;
-        if let (Some(i), Engine::Gpu(gpu)) = (&mut self.imaging, &self.engine)
+        if let (Some(i), Engine::Gpu(gpu)) = (&mut self.imaging, &mut self.engine)
             && let Some(scanner) = gpu.scanner()
         {
             let pose = i.pose(&self.tools, self.origin)?;
