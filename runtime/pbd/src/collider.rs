@@ -225,7 +225,8 @@ impl PreparedShape {
     pub(crate) fn bounding_ball(&self) -> Option<(Vec3, f32)> {
         let of_box = |(lo, hi): (Vec3, Vec3)| Some(((lo + hi) * 0.5, (hi - lo).length() * 0.5));
         match self {
-            Self::Plane | Self::Convex(_) => None,
+            Self::Plane => None,
+            Self::Convex(c) => c.bounds().and_then(of_box),
             Self::Mesh(m) => of_box(m.0.bounds()),
             Self::Cuboid(h) => Some((Vec3::ZERO, h.length())),
             Self::Grid(g) => of_box(g.bounds()),
@@ -236,7 +237,8 @@ impl PreparedShape {
     /// Box around the shape in its own frame; `None` where it has no end.
     pub(crate) fn local_bounds(&self) -> Option<(Vec3, Vec3)> {
         match self {
-            Self::Plane | Self::Convex(_) => None,
+            Self::Plane => None,
+            Self::Convex(c) => c.bounds(),
             Self::Mesh(m) => Some(m.0.bounds()),
             Self::Cuboid(h) => Some((-*h, *h)),
             Self::Grid(g) => Some(g.bounds()),
@@ -244,6 +246,45 @@ impl PreparedShape {
                 let h = Vec3::new(*r, *r, half + r);
                 Some((-h, h))
             }
+        }
+    }
+
+    /// How far a particle at `p` may go before its contact is possible, so long as the shape stays; a negative number
+    /// where it is possible now. For a mesh [`MeshSolid::room`] says more.
+    pub(crate) fn room(&self, p: Vec3, reach: f32, steepness: f32) -> f32 {
+        match self {
+            Self::Plane => p.z - reach,
+            Self::Mesh(m) => m.1.distance_bound(p).0 - self.ambit(reach),
+            Self::Convex(c) => c.clearance(p) - reach,
+            Self::Cuboid(h) => p.distance(p.clamp(-*h, *h)) - self.ambit(reach),
+            Self::Grid(g) => (g.distance(p) - reach) / steepness,
+            Self::Capsule(half, radius) => {
+                let axis = Vec3::new(0.0, 0.0, p.z.clamp(-half, *half));
+                p.distance(axis) - radius - self.ambit(reach)
+            }
+        }
+    }
+
+    /// Whether contacts are possible only within [`PreparedShape::ambit`] of the shape, which has an end.
+    pub(crate) fn has_distance(&self) -> bool {
+        matches!(self, Self::Mesh(_) | Self::Cuboid(_) | Self::Capsule(..))
+    }
+
+    /// Distance from the shape beyond which no contact is possible.
+    pub(crate) fn ambit(&self, reach: f32) -> f32 {
+        // A sweep takes the corners of a box for sharp ones.
+        let corner = 1.7321 * reach;
+        match self {
+            Self::Mesh(m) if m.0.closed => corner.max(m.1.blur()),
+            _ => corner,
+        }
+    }
+
+    /// How fast the value of a field may fall per mm; 1 for other shapes.
+    pub(crate) fn steepness(&self) -> f32 {
+        match self {
+            Self::Grid(g) => g.steepness(),
+            _ => 1.0,
         }
     }
 

@@ -5,6 +5,7 @@ mod contacts;
 pub(crate) mod neighbours;
 pub(crate) mod particles;
 mod report;
+mod search;
 mod setup;
 pub(crate) mod solids;
 mod state;

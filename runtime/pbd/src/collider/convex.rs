@@ -1,6 +1,6 @@
 use super::{LocalContact, LocalContacts, Motion};
 use crate::PbdError;
-use glam::Vec3;
+use glam::{DMat3, DVec3, Vec3};
 
 /// Most planes of a convex.
 const MOST_PLANES: usize = 64;
@@ -9,6 +9,8 @@ const MOST_PLANES: usize = 64;
 #[derive(Clone, Debug, PartialEq)]
 pub struct Convex {
     planes: Vec<(Vec3, f32)>,
+    /// Box around it; `None` where it has no end.
+    bounds: Option<(Vec3, Vec3)>,
 }
 
 impl Convex {
@@ -38,12 +40,26 @@ impl Convex {
             }
             out.push((Vec3::from(n) / length, offset / length));
         }
-        Ok(Self { planes: out })
+        Ok(Self {
+            bounds: bounds(&out),
+            planes: out,
+        })
     }
 
     /// Unit outward normals and offsets, mm.
     pub fn planes(&self) -> &[(Vec3, f32)] {
         &self.planes
+    }
+
+    pub(crate) fn bounds(&self) -> Option<(Vec3, Vec3)> {
+        self.bounds
+    }
+
+    /// Distance to the farthest plane: never more than that to the solid.
+    pub(crate) fn clearance(&self, p: Vec3) -> f32 {
+        self.planes
+            .iter()
+            .fold(f32::NEG_INFINITY, |s, (n, offset)| s.max(n.dot(p) - offset))
     }
 
     pub(crate) fn contacts(&self, motion: &Motion, out: &mut LocalContacts) {
@@ -72,6 +88,39 @@ impl Convex {
             });
         }
     }
+}
+
+/// Box around the intersection of half-spaces, or around more; `None` where it has no end along an axis.
+fn bounds(planes: &[(Vec3, f32)]) -> Option<(Vec3, Vec3)> {
+    // If e = λ₁n₁ + λ₂n₂ + λ₃n₃ with λ ≥ 0, no point is farther along e than λ·offsets, and by duality the least of
+    // these is how far the solid goes. Nearly dependent normals are left out, which can only make the box larger.
+    let planes: Vec<(DVec3, f64)> = planes
+        .iter()
+        .map(|(n, o)| (n.as_dvec3(), f64::from(*o)))
+        .collect();
+    let mut most = [f64::INFINITY; 6];
+    let axes = [DVec3::X, DVec3::Y, DVec3::Z];
+    for (i, a) in planes.iter().enumerate() {
+        for (j, b) in planes[..i].iter().enumerate() {
+            for c in &planes[..j] {
+                let normals = DMat3::from_cols(a.0, b.0, c.0);
+                if normals.determinant().abs() < 1e-6 {
+                    continue;
+                }
+                let inverse = normals.inverse();
+                for (k, most) in most.iter_mut().enumerate() {
+                    let e = if k < 3 { axes[k] } else { -axes[k - 3] };
+                    let share = inverse * e;
+                    if share.min_element() >= -1e-9 {
+                        *most = most.min(share.dot(DVec3::new(a.1, b.1, c.1)));
+                    }
+                }
+            }
+        }
+    }
+    let (hi, lo) = (DVec3::from_slice(&most[..3]), -DVec3::from_slice(&most[3..]));
+    let grow = 1e-4 + 1e-6 * (lo.abs() + hi.abs()).max_element();
+    (lo.is_finite() && hi.is_finite()).then(|| ((lo - grow).as_vec3(), (hi + grow).as_vec3()))
 }
 
 /// Contact of a box of these half extents, with its exact distance outside.

@@ -147,6 +147,28 @@ impl SignedDistanceGrid {
         (value.abs() - p.distance(node), value < 0.0)
     }
 
+    /// Distance from the surface beyond which the nearest node, and the interpolated value, have the right sign: half the
+    /// diagonal of a cell and a hair.
+    pub(crate) fn blur(&self) -> f32 {
+        0.87 * self.cell_mm
+    }
+
+    /// Most that [`SignedDistanceGrid::distance`] changes per mm, at least 1.
+    pub(crate) fn steepness(&self) -> f32 {
+        let [nx, ny, _] = self.dims;
+        let mut most = [0f32; 3];
+        for (n, v) in self.values.iter().enumerate() {
+            let at = [n % nx, n / nx % ny, n / (nx * ny)];
+            for (axis, step) in [1, nx, nx * ny].into_iter().enumerate() {
+                if at[axis] + 1 < self.dims[axis] {
+                    most[axis] = most[axis].max((self.values[n + step] - v).abs());
+                }
+            }
+        }
+        // Beyond the grid the way to it counts as well, across the directions in which the nearest place moves.
+        (1.0 + Vec3::from(most).length_squared() / (self.cell_mm * self.cell_mm)).sqrt()
+    }
+
     pub(crate) fn bounds(&self) -> (Vec3, Vec3) {
         let size = Vec3::new(
             (self.dims[0] - 1) as f32,

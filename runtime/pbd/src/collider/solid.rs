@@ -24,6 +24,8 @@ pub(crate) struct MeshSolid {
     pub(crate) fan_offsets: Vec<u32>,
     pub(crate) fan: Vec<u32>,
     pub(crate) vertex_normals: Vec<Vec3>,
+    /// Triangles whose altitudes are not much shorter than their edges.
+    sound: Vec<bool>,
     pub(crate) closed: bool,
     pub(crate) bounds: (Vec3, Vec3),
 }
@@ -81,7 +83,16 @@ impl MeshSolid {
         for v in &mut vertex_normals {
             *v = v.normalize_or(Vec3::Z);
         }
+        let sound = |c: &[Vec3; 3]| {
+            let [a, b, c] = *c;
+            let longest2 = (b - a)
+                .length_squared()
+                .max((c - b).length_squared())
+                .max((a - c).length_squared());
+            (b - a).cross(c - a).length() > 0.1 * longest2
+        };
         Self {
+            sound: corners.iter().map(sound).collect(),
             bvh: Bvh::build(&corners),
             closed: mesh.is_closed(),
             bounds: mesh.bounds(),
@@ -166,94 +177,128 @@ impl MeshSolid {
         }
     }
 
+    /// Whether the grid tells that a particle on its way meets nothing.
+    #[inline]
+    pub(crate) fn is_beyond(&self, grid: &SignedDistanceGrid, motion: &Motion) -> bool {
+        let Motion { a, b, reach, .. } = *motion;
+        let (far, inside) = grid.distance_bound(b);
+        far > reach + a.distance(b) && !(inside && self.closed)
+    }
+
+    /// How far a particle may go from `b` before a contact is possible; not above 0 where one is possible now.
+    pub(crate) fn room(&self, grid: &SignedDistanceGrid, motion: &Motion) -> f32 {
+        let (far, inside) = grid.distance_bound(motion.b);
+        if inside && self.closed {
+            return f32::NEG_INFINITY;
+        }
+        self.unless_inside(grid, motion, far - motion.reach)
+    }
+
+    /// Room of a particle that has none of the triangles within reach and `clear`: less where the coarse grid might yet
+    /// take it for one inside.
+    pub(crate) fn unless_inside(&self, grid: &SignedDistanceGrid, motion: &Motion, clear: f32) -> f32 {
+        if !self.closed {
+            clear
+        } else if grid.distance_bound(motion.b).1 {
+            f32::NEG_INFINITY
+        } else {
+            clear + (motion.reach - grid.blur()).min(0.0)
+        }
+    }
+
+    /// All triangles that may give a particle a contact as long as its ways start within `sweep` of `motion.b` and end
+    /// within `skin`, in the tree's order, and how many; `None` where the row is short. `slack` covers rounding.
+    pub(crate) fn near(
+        &self,
+        motion: &Motion,
+        skin: f32,
+        sweep: f32,
+        slack: f32,
+        row: &mut [u32],
+    ) -> Option<usize> {
+        let Motion {
+            b: p,
+            distance,
+            reach,
+            ..
+        } = *motion;
+        let cross = skin.max(sweep) + slack;
+        let range = (reach + skin + slack).max(cross);
+        let away = |t: usize| closest_on_triangle(p, self.corners[t]).point.distance(p);
+        // A face counts above itself, an edge or vertex where it is the nearest of its triangle and no triangle around it is
+        // nearer. Distances change by no more than the
+        // way, those of slivers aside, which are not exact enough to say so.
+        let margin = 2.0 * skin + 0.01 * reach + slack;
+        let hidden = |u: usize, d: f32| self.sound[u] && away(u) < d - margin;
+        let wanted = |t: usize| {
+            let [a, b, c] = self.corners[t];
+            let (lo, hi) = (a.min(b).min(c), a.max(b).max(c));
+            let gap = (lo - p).max(p - hi).max(Vec3::ZERO);
+            let plane = self.normals[t].dot(p - a);
+            let behind = plane < -0.5 * distance - cross && plane < -cross;
+            if gap.length_squared() > range * range || plane.abs() > range || behind {
+                return false;
+            }
+            if !self.sound[t] {
+                return true;
+            }
+            let d = away(t);
+            if d > range {
+                return false;
+            }
+            let corners = &self.corners[t];
+            let vertex = |k: usize| {
+                let v = self.triangles[t][k] as usize;
+                let fan = self.fan_offsets[v] as usize..self.fan_offsets[v + 1] as usize;
+                corners[k].distance(p) <= d + margin && !self.fan[fan].iter().any(|&u| hidden(u as usize, d))
+            };
+            let edge = |k: usize| {
+                let u = self.neighbours[t][k];
+                to_segment(p, corners[k], corners[(k + 1) % 3]) <= d + margin
+                    && (u == u32::MAX || !hidden(u as usize, d))
+            };
+            d <= cross || d - plane.abs() <= margin || (0..3).any(|k| edge(k) || vertex(k))
+        };
+        let (mut count, mut full) = (0, false);
+        self.bvh.overlapping(p - range, p + range, |t| {
+            if !full && wanted(t as usize) {
+                match row.get_mut(count) {
+                    Some(slot) => *slot = t,
+                    None => full = true,
+                }
+                count += 1;
+            }
+        });
+        (!full).then_some(count)
+    }
+
     /// Contacts of a particle that goes from `a` to `b` and keeps the distance `d`.
     pub(crate) fn contacts(&self, grid: &SignedDistanceGrid, motion: &Motion, out: &mut LocalContacts) {
-        let Motion {
-            a,
-            b,
-            distance: d,
-            reach,
-        } = *motion;
-        let (far, inside) = grid.distance_bound(b);
-        if far > reach + a.distance(b) && !(inside && self.closed) {
+        if self.is_beyond(grid, motion) {
             return;
         }
-        let mut found = [(0f32, LocalContact::default()); MOST];
-        let mut count = 0;
-        let mut keep = |contact: LocalContact| {
-            let c = contact.normal.dot(b - contact.point);
-            if let Some(i) = (0..count).find(|&i| found[i].1.normal.dot(contact.normal) > 0.999) {
-                if c < found[i].0 {
-                    found[i] = (c, contact);
-                }
-            } else if count < MOST {
-                found[count] = (c, contact);
-                count += 1;
-            } else {
-                let worst = (0..MOST).fold(0, |w, i| if found[i].0 > found[w].0 { i } else { w });
-                if c < found[worst].0 {
-                    found[worst] = (c, contact);
-                }
-            }
-        };
-        let mut ahead = false;
-        self.bvh.overlapping(a.min(b) - reach, a.max(b) + reach, |t| {
-            let t = t as usize;
-            let corners = self.corners[t];
-            let n = self.normals[t];
-            let (sa, sb) = (n.dot(a - corners[0]), n.dot(b - corners[0]));
-            if sa >= 0.0 && sb < 0.0 {
-                let hit = a + (b - a) * (sa / (sa - sb));
-                if closest_on_triangle(hit, corners).point.distance_squared(hit) < 1e-8 {
-                    keep(LocalContact {
-                        normal: n,
-                        point: hit,
-                    });
-                    ahead = true;
-                    return;
-                }
-            }
-            // No point of the triangle is nearer than its plane.
-            if sa < -0.5 * d || sb.abs() >= reach {
-                return;
-            }
-            let q = closest_on_triangle(b, corners);
-            let d2 = q.point.distance_squared(b);
-            if d2 >= reach * reach || !self.owns(t, &q, b) {
-                return;
-            }
-            ahead = true;
-            if q.feature == Feature::Face {
-                keep(LocalContact {
-                    normal: n,
-                    point: q.point,
-                });
-                return;
-            }
-            let pseudo = self.pseudo_normal(t, q.feature);
-            let away = b - q.point;
-            let side = if away.dot(pseudo) < 0.0 { -1.0 } else { 1.0 };
-            let length = d2.sqrt();
-            let normal = if length > 1e-4 {
-                away * (side / length)
-            } else {
-                pseudo
-            };
-            keep(LocalContact {
-                normal,
-                point: q.point,
-            });
-        });
-        if !ahead && self.closed && grid.distance(a) < -0.5 * d {
-            let normal = grid.normal(b);
-            keep(LocalContact {
-                normal,
-                point: b - normal * grid.distance(b),
-            });
+        let Motion { a, b, reach, .. } = *motion;
+        // A hair more, so that no rounding of a box decides.
+        let grow = reach + 1e-3 + 1e-5 * b.abs().max_element();
+        let mut touches = Touches::new(self, motion);
+        self.bvh
+            .overlapping(a.min(b) - grow, a.max(b) + grow, |t| touches.add(t as usize));
+        touches.finish(grid, out);
+    }
+
+    /// As [`MeshSolid::contacts`] of a particle not beyond reach, where no other triangles can count.
+    pub(crate) fn contacts_among(
+        &self,
+        grid: &SignedDistanceGrid,
+        motion: &Motion,
+        triangles: &[u32],
+        out: &mut LocalContacts,
+    ) {
+        let mut touches = Touches::new(self, motion);
+        for &t in triangles {
+            touches.add(t as usize);
         }
-        for (_, contact) in &found[..count] {
-            out.push(*contact);
-        }
+        touches.finish(grid, out);
     }
 
     /// Grid of distances, coarse enough to stay small; signed for a closed mesh.
@@ -264,5 +309,126 @@ impl MeshSolid {
         let volume = size.max(Vec3::splat(0.05 * longest)).element_product();
         let cell = (volume / GRID_NODES).cbrt().max(longest / 400.0);
         SignedDistanceGrid::sample(self, cell, 2.0 * cell)
+    }
+}
+
+/// Distance from `p` to the segment from `a` to `b`.
+fn to_segment(p: Vec3, a: Vec3, b: Vec3) -> f32 {
+    let along = b - a;
+    let t = ((p - a).dot(along) / along.length_squared()).clamp(0.0, 1.0);
+    p.distance(a + along * t)
+}
+
+/// Contacts of one particle with one mesh.
+struct Touches<'a> {
+    mesh: &'a MeshSolid,
+    motion: Motion,
+    /// Signed distance and contact, alike normals once.
+    found: [(f32, LocalContact); MOST],
+    count: usize,
+    /// Whether a face is in front of the particle.
+    ahead: bool,
+}
+
+impl<'a> Touches<'a> {
+    fn new(mesh: &'a MeshSolid, motion: &Motion) -> Self {
+        Self {
+            mesh,
+            motion: *motion,
+            found: [(0.0, LocalContact::default()); MOST],
+            count: 0,
+            ahead: false,
+        }
+    }
+
+    fn keep(&mut self, contact: LocalContact) {
+        let Self { found, count, .. } = self;
+        let c = contact.normal.dot(self.motion.b - contact.point);
+        if let Some(i) = (0..*count).find(|&i| found[i].1.normal.dot(contact.normal) > 0.999) {
+            if c < found[i].0 {
+                found[i] = (c, contact);
+            }
+        } else if *count < MOST {
+            found[*count] = (c, contact);
+            *count += 1;
+        } else {
+            let worst = (0..MOST).fold(0, |w, i| if found[i].0 > found[w].0 { i } else { w });
+            if c < found[worst].0 {
+                found[worst] = (c, contact);
+            }
+        }
+    }
+
+    /// Takes triangle `t` into account.
+    #[inline]
+    fn add(&mut self, t: usize) {
+        let Motion {
+            a,
+            b,
+            distance: d,
+            reach,
+        } = self.motion;
+        let mesh = self.mesh;
+        let corners = mesh.corners[t];
+        let n = mesh.normals[t];
+        let (sa, sb) = (n.dot(a - corners[0]), n.dot(b - corners[0]));
+        if sa >= 0.0 && sb < 0.0 {
+            let hit = a + (b - a) * (sa / (sa - sb));
+            if closest_on_triangle(hit, corners).point.distance_squared(hit) < 1e-8 {
+                self.keep(LocalContact {
+                    normal: n,
+                    point: hit,
+                });
+                self.ahead = true;
+                return;
+            }
+        }
+        // No point of the triangle is nearer than its plane.
+        if sa < -0.5 * d || sb.abs() >= reach {
+            return;
+        }
+        let q = closest_on_triangle(b, corners);
+        let d2 = q.point.distance_squared(b);
+        if d2 >= reach * reach || !mesh.owns(t, &q, b) {
+            return;
+        }
+        self.ahead = true;
+        if q.feature == Feature::Face {
+            self.keep(LocalContact {
+                normal: n,
+                point: q.point,
+            });
+            return;
+        }
+        let pseudo = mesh.pseudo_normal(t, q.feature);
+        let away = b - q.point;
+        let side = if away.dot(pseudo) < 0.0 { -1.0 } else { 1.0 };
+        let length = d2.sqrt();
+        let normal = if length > 1e-4 {
+            away * (side / length)
+        } else {
+            pseudo
+        };
+        self.keep(LocalContact {
+            normal,
+            point: q.point,
+        });
+    }
+
+    /// Hands the contacts over; a particle deep inside a closed mesh is led out by the grid.
+    fn finish(mut self, grid: &SignedDistanceGrid, out: &mut LocalContacts) {
+        let Motion {
+            a, b, distance: d, ..
+        } = self.motion;
+        if !self.ahead && self.mesh.closed && grid.distance(a) < -0.5 * d {
+            let normal = grid.normal(b);
+            self.keep(LocalContact {
+                normal,
+                point: b - normal * grid.distance(b),
+            });
+        }
+        for (_, contact) in &self.found[..self.count] {
+            out.push(*contact);
+        }
     }
 }

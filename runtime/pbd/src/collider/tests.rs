@@ -169,6 +169,28 @@ fn convex_contacts_by_distance_and_sweep() {
 }
 
 #[test]
+fn convex_bounds_are_those_of_its_corners() {
+    let turn = Quat::from_rotation_x(0.7) * Quat::from_rotation_y(0.4);
+    let half = Vec3::new(3.0, 4.0, 5.0);
+    let axes = [Vec3::X, Vec3::Y, Vec3::Z];
+    let mut planes: Vec<([f32; 3], f32)> = axes
+        .iter()
+        .flat_map(|&n| [n, -n].map(|n| ((turn * n).to_array(), n.abs().dot(half))))
+        .collect();
+    let (lo, hi) = Convex::new(&planes).unwrap().bounds().unwrap();
+    let corner = (0..8).fold(Vec3::ZERO, |m, k| {
+        let sign = |bit: i32| if k & bit != 0 { 1.0f32 } else { -1.0 };
+        m.max(turn * (half * Vec3::new(sign(1), sign(2), sign(4))))
+    });
+    assert!(
+        hi.distance(corner) < 1e-3 && lo.distance(-corner) < 1e-3,
+        "{lo} {hi}"
+    );
+    planes.remove(3);
+    assert_eq!(Convex::new(&planes).unwrap().bounds(), None);
+}
+
+#[test]
 fn grid_follows_the_mesh() {
     let mesh = TriangleMesh::cuboid(Vec3::splat(5.0));
     let grid = SignedDistanceGrid::from_mesh(&mesh, 0.5, 3.0).unwrap();

@@ -2,8 +2,9 @@
 
 use super::CHUNK;
 use super::contacts::friction;
-use super::particles::{ClampCounts, Particles};
-use crate::collider::{LocalContacts, Motion, PreparedShape};
+use super::particles::Particles;
+use super::search::{Memory, Swing};
+use crate::collider::PreparedShape;
 use crate::{Collider, PbdError, Pose, Settings};
 use glam::{DVec3, Mat3A, Quat, Vec3, Vec3A};
 use rayon::prelude::*;
@@ -35,6 +36,10 @@ pub(crate) struct Solid {
     pub(crate) from: Pose,
     pub(crate) to: Pose,
     pub(crate) way: Way,
+    /// How it moves over the substep.
+    pub(crate) swing: Swing,
+    /// How fast a field may fall per mm; 1 for true distances.
+    pub(crate) steepness: f32,
 }
 
 /// Poses of a solid over one substep.
@@ -75,6 +80,7 @@ pub(crate) struct Solids {
     /// Per chunk, per solid.
     pub(crate) exchange: Vec<Exchange>,
     pub(crate) busy: Vec<bool>,
+    pub(crate) memory: Memory,
 }
 
 /// Constants of shape contacts.
@@ -95,9 +101,11 @@ impl Solid {
     fn new(c: &Collider, s: &Settings) -> Result<Self, PbdError> {
         let dynamic = c.friction.unwrap_or(s.shape_friction);
         let fixed = c.friction.or(s.static_shape_friction).unwrap_or(s.shape_friction);
+        let shape = PreparedShape::new(c)?;
         Ok(Self {
             name: c.name.clone(),
-            shape: PreparedShape::new(c)?,
+            steepness: shape.steepness(),
+            shape,
             moving: c.moving,
             friction: dynamic as f32,
             static_friction: fixed as f32,
@@ -105,6 +113,7 @@ impl Solid {
             from: c.pose,
             to: c.pose,
             way: Way::default(),
+            swing: Swing::default(),
         })
     }
 }
@@ -140,7 +149,7 @@ impl Way {
     }
 
     #[inline]
-    fn local(&self, x: Vec3A, predicted: Vec3A) -> (Vec3, Vec3) {
+    pub(crate) fn local(&self, x: Vec3A, predicted: Vec3A) -> (Vec3, Vec3) {
         let a = self.turn_back[0] * (x - Vec3A::from(self.from.translation));
         let b = self.turn_back[1] * (predicted - Vec3A::from(self.to.translation));
         (a.into(), b.into())
@@ -164,6 +173,7 @@ impl Solids {
             pressed: vec![0; particles],
             exchange: vec![Exchange::default(); chunks * list.len()],
             busy: vec![false; chunks],
+            memory: Memory::new(&list, particles),
             list,
         })
     }
@@ -171,9 +181,11 @@ impl Solids {
     /// Sets the poses over substep `q` of `substeps`.
     pub(crate) fn advance(&mut self, q: u32, substeps: u32) {
         let at = |k: u32| f64::from(k) / f64::from(substeps);
+        self.memory.begin();
         for s in &mut self.list {
             let from = s.from.interpolate(&s.to, at(q));
             let to = s.from.interpolate(&s.to, at(q + 1));
+            s.swing = self.memory.moves(&s.shape, s.way.to, from, to);
             s.way = Way::new(&s.shape, from, to);
         }
     }
@@ -183,89 +195,6 @@ impl Solids {
         for s in &mut self.list {
             s.from = s.to;
         }
-    }
-
-    /// Contact planes of every particle on its way from x to its prediction.
-    pub(crate) fn find(&mut self, p: &Particles, how: &ShapeContact, counts: &mut [ClampCounts]) {
-        if self.list.is_empty() {
-            return;
-        }
-        let (list, order) = (&self.list, &self.order);
-        (
-            self.planes.par_chunks_mut(CHUNK * SLOTS),
-            self.count.par_chunks_mut(CHUNK),
-            self.pressed.par_chunks_mut(CHUNK),
-            self.busy.par_iter_mut(),
-            counts.par_iter_mut(),
-        )
-            .into_par_iter()
-            .enumerate()
-            .for_each(|(chunk, (planes, count, pressed, busy, counts))| {
-                *busy = false;
-                pressed.fill(0);
-                count.fill(0);
-                let first = chunk * CHUNK;
-                let range = first..first + count.len();
-                let (mut lo, mut hi) = (Vec3A::INFINITY, Vec3A::NEG_INFINITY);
-                for (a, b) in p.x[range.clone()].iter().zip(&p.predicted[range]) {
-                    (lo, hi) = (lo.min(a.min(*b)), hi.max(a.max(*b)));
-                }
-                for &k in order {
-                    let solid = &list[k];
-                    let far = how
-                        .distance
-                        .iter()
-                        .zip(how.margin)
-                        .fold(0f32, |m, (d, g)| m.max(solid.distance_mm.unwrap_or(*d) + g));
-                    if solid.way.lo.cmpgt(hi + far).any() || solid.way.hi.cmplt(lo - far).any() {
-                        continue;
-                    }
-                    for (n, count) in count.iter_mut().enumerate() {
-                        let i = first + n;
-                        if p.inverse_mass[i] == 0.0 {
-                            continue;
-                        }
-                        let body = usize::from(p.body[i]);
-                        let distance = solid.distance_mm.unwrap_or(how.distance[body]);
-                        let reach = distance + how.margin[body];
-                        let (x, predicted) = (p.x[i], p.predicted[i]);
-                        if solid.way.lo.cmpgt(x.max(predicted) + reach).any()
-                            || solid.way.hi.cmplt(x.min(predicted) - reach).any()
-                            || !predicted.is_finite()
-                        {
-                            continue;
-                        }
-                        let (a, b) = solid.way.local(x, predicted);
-                        let mut found = LocalContacts::default();
-                        solid.shape.contacts(
-                            &Motion {
-                                a,
-                                b,
-                                distance,
-                                reach,
-                            },
-                            &mut found,
-                        );
-                        for c in found.as_slice() {
-                            if usize::from(*count) == SLOTS {
-                                counts.shape_contacts += 1;
-                                continue;
-                            }
-                            let normal = solid.way.to.rotation * c.normal;
-                            let point = solid.way.to.apply(c.point);
-                            let slot = n * SLOTS + usize::from(*count);
-                            planes[slot] = PlaneContact {
-                                normal,
-                                offset: normal.dot(point) + distance,
-                                drift: point - solid.way.from.apply(c.point),
-                                solid: k as u32,
-                            };
-                            *count += 1;
-                            *busy = true;
-                        }
-                    }
-                }
-            });
     }
 
     /// Contact planes of particle `i`.

@@ -132,6 +132,7 @@ impl Solver {
         }
         c.clusters.warm = state.warm;
         c.neighbours.invalidate();
+        c.solids.forget();
         c.refresh();
         Ok(())
     }
