@@ -111,19 +111,30 @@ fn press(path: &str, settings: &Settings, threads: usize) -> Result<(), Box<dyn 
     table("all 390 steps", &ms);
     table("pressed     ", &ms[resting..]);
     let pressed = &all[resting..];
-    let sum = |f: fn(&Timings) -> f64| pressed.iter().map(f).sum::<f64>() / pressed.len() as f64 * 1e3;
-    for (name, v) in [
-        ("integrate", sum(|t| t.integrate_s)),
-        ("neighbours", sum(|t| t.neighbours_s)),
-        ("collision", sum(|t| t.collision_s)),
-        ("contacts", sum(|t| t.contacts_s)),
-        ("shape matching", sum(|t| t.shape_matching_s)),
-        ("frames", sum(|t| t.frames_s)),
-        ("skinning", sum(|t| t.skinning_s)),
-    ] {
+    let parts: [(&str, fn(&Timings) -> f64); 7] = [
+        ("integrate", |t| t.integrate_s),
+        ("neighbours", |t| t.neighbours_s),
+        ("collision", |t| t.collision_s),
+        ("contacts", |t| t.contacts_s),
+        ("shape matching", |t| t.shape_matching_s),
+        ("frames", |t| t.frames_s),
+        ("skinning", |t| t.skinning_s),
+    ];
+    let whole = ms[resting..].iter().sum::<f64>();
+    println!(
+        "  {:15} {:>10} {:>8} {:>8}",
+        "ms, pressed", "mean", "median", "min"
+    );
+    for (name, part) in parts {
+        let mut v: Vec<f64> = pressed.iter().map(|t| part(t) * 1e3).collect();
+        v.sort_by(f64::total_cmp);
+        let sum = v.iter().sum::<f64>();
         println!(
-            "  {name:15} {v:7.3} ms  {:5.1} %",
-            100.0 * v / sum(|t| t.total_s + t.skinning_s)
+            "  {name:15} {:10.3} {:8.3} {:8.3} {:6.1} %",
+            sum / v.len() as f64,
+            v[v.len() / 2],
+            v[0],
+            100.0 * sum / whole
         );
     }
     let c = solver.contacts();
@@ -196,7 +207,9 @@ fn block(count: usize) -> RawBody {
 }
 
 fn grow(settings: &Settings, threads: usize) -> Result<(), Box<dyn Error>> {
-    println!("\ngrowth, blocks on a plane, {threads} threads (0: all)");
+    println!(
+        "\ngrowth, blocks on a plane, {threads} threads (0: all); shares of neighbours, collision, contacts, matching"
+    );
     let mut points = Vec::new();
     for count in [2_000, 5_000, 10_000, 20_000, 50_000, 100_000, 200_000] {
         let body = SoftBody::from_raw(&block(count))?;
@@ -212,15 +225,24 @@ fn grow(settings: &Settings, threads: usize) -> Result<(), Box<dyn Error>> {
         for _ in 0..4 {
             solver.step();
         }
+        let mut parts = [0.0; 4];
         let mut ms: Vec<f64> = (0..steps)
             .map(|_| {
                 solver.step();
-                solver.timings().total_s * 1e3
+                let t = solver.timings();
+                let of = [t.neighbours_s, t.collision_s, t.contacts_s, t.shape_matching_s];
+                for (part, v) in parts.iter_mut().zip(of) {
+                    *part += v / t.total_s / steps as f64;
+                }
+                t.total_s * 1e3
             })
             .collect();
         ms.sort_by(f64::total_cmp);
         let median = ms[ms.len() / 2];
-        println!("  {n:7} particles {c:6} clusters {m:8} memberships  {median:8.2} ms");
+        println!(
+            "  {n:7} particles {c:6} clusters {m:8} memberships  {median:8.2} ms  {}",
+            parts.map(|p| format!("{:4.1} %", 100.0 * p)).join(" ")
+        );
         points.push(((n as f64).ln(), median.ln()));
     }
     let tail: Vec<_> = points.iter().filter(|p| p.0 > 9000f64.ln()).copied().collect();

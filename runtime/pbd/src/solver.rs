@@ -12,6 +12,7 @@ mod state;
 
 pub use particles::ClampCounts;
 pub use report::{BodyInfo, ClusterFrame, ContactReport, Timings};
+pub(crate) use setup::Order;
 pub use state::SolverState;
 
 use crate::{Averaging, Group, NetMomentum, PbdError, Pose, Settings, ShapeMatching, SkinnedPoints};
@@ -54,6 +55,9 @@ pub(crate) struct Core {
     /// Particles that share a body's net displacement; 0 where it is left as it is.
     pub(crate) free: Vec<u32>,
     pub(crate) frames: Vec<ClusterFrame>,
+    /// The scene's index of each particle: here they lie in another order.
+    pub(crate) given: Vec<u32>,
+    /// In the scene's order.
     pub(crate) positions: Vec<[f32; 3]>,
     pub(crate) counts: Vec<ClampCounts>,
     pub(crate) reports: Vec<ContactReport>,
@@ -98,7 +102,9 @@ impl Solver {
 
     /// Velocities of all particles, mm/s.
     pub fn velocities(&self) -> impl ExactSizeIterator<Item = [f32; 3]> + '_ {
-        self.core.particles.velocity.iter().map(|v| v.to_array())
+        self.core
+            .in_given_order(&self.core.particles.velocity)
+            .into_iter()
     }
 
     /// Frames of all clusters, extracted from the positions after the last step.
@@ -359,9 +365,23 @@ impl Core {
                 translation: self.clusters.mean[c].to_array(),
             };
         }
-        for (out, x) in self.positions.iter_mut().zip(&self.particles.x) {
-            *out = x.to_array();
+        self.publish();
+    }
+
+    /// Positions for the caller.
+    fn publish(&mut self) {
+        for (&g, x) in self.given.iter().zip(&self.particles.x) {
+            self.positions[g as usize] = x.to_array();
         }
+    }
+
+    /// Values of particles in the scene's order.
+    fn in_given_order(&self, values: &[Vec3A]) -> Vec<[f32; 3]> {
+        let mut out = vec![[0.0; 3]; values.len()];
+        for (&g, v) in self.given.iter().zip(values) {
+            out[g as usize] = v.to_array();
+        }
+        out
     }
 
     fn report(&mut self, s: &Settings) {

@@ -80,7 +80,7 @@ impl GpuSolver {
             });
         }
         gpu.check()?;
-        let core = Core::new(scene, settings)?;
+        let core = Core::new(scene, settings, crate::solver::Order::AsGiven)?;
         let (constants, sizes) = constants(&core, settings);
         let (data, heads) = shapes(&core);
         let kernels = Kernels::new(gpu, lanes)?;

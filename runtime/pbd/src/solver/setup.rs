@@ -12,6 +12,8 @@ use glam::{Mat3A, Vec3, Vec3A, Vec4};
 
 /// Most particles or memberships of a scene.
 const MOST: usize = 1 << 26;
+/// Cells of the curve along which particles are sorted, of the spacing.
+const CURVE_CELL: f32 = 1.0;
 
 impl Solver {
     /// Makes a solver on all cores.
@@ -35,13 +37,57 @@ impl Solver {
             .num_threads(threads)
             .thread_name(|i| format!("pbd-{i}"))
             .build()?;
-        let core = pool.install(|| Core::new(&scene, &settings))?;
+        let core = pool.install(|| Core::new(&scene, &settings, Order::ByPlace))?;
         Ok(Self { settings, pool, core })
     }
 }
 
+/// In which order particles lie in memory.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Order {
+    /// As the body has them.
+    AsGiven,
+    /// Those near each other in space near each other in memory.
+    ByPlace,
+}
+
+/// Particles of a body along a Z-order curve, and within each chunk by the number of their clusters, so that loops over
+/// these are alike. The body's first particle shall have the index `first`.
+fn by_place(body: &SoftBody, first: usize) -> Vec<usize> {
+    let n = body.particle_count();
+    let lo = body
+        .positions
+        .iter()
+        .fold(Vec3::INFINITY, |lo, &x| lo.min(x.into()));
+    let keys: Vec<u64> = body
+        .positions
+        .iter()
+        .map(|&x| {
+            let cell = (Vec3::from(x) - lo) / (CURVE_CELL * body.spacing_mm);
+            let spread = |v: f32| {
+                // The cast saturates; 21 bits a coordinate, each two bits apart.
+                let v = u64::from((v as u32).min((1 << 21) - 1));
+                (0..21).fold(0, |key, bit| key | (v >> bit & 1) << (3 * bit))
+            };
+            spread(cell.x) | spread(cell.y) << 1 | spread(cell.z) << 2
+        })
+        .collect();
+    let mut clusters = vec![0u32; n];
+    for &m in &body.members {
+        clusters[m as usize] += 1;
+    }
+    let mut order: Vec<usize> = (0..n).collect();
+    order.sort_unstable_by_key(|&i| (keys[i], i));
+    let (head, tail) = order.split_at_mut((first.next_multiple_of(CHUNK) - first).min(n));
+    head.sort_by_key(|&i| clusters[i]);
+    for chunk in tail.chunks_mut(CHUNK) {
+        chunk.sort_by_key(|&i| clusters[i]);
+    }
+    order
+}
+
 impl Core {
-    pub(crate) fn new(scene: &Scene, s: &Settings) -> Result<Self, PbdError> {
+    pub(crate) fn new(scene: &Scene, s: &Settings, order: Order) -> Result<Self, PbdError> {
         let count = |what, found: usize, most: usize| {
             if found > most {
                 Err(PbdError::TooMany { what, found, most })
@@ -71,7 +117,8 @@ impl Core {
             drift: vec![Vec3A::ZERO; scene.bodies.len()],
             free: Vec::new(),
             frames: Vec::new(),
-            positions: Vec::new(),
+            given: Vec::with_capacity(particles),
+            positions: vec![[0.0; 3]; particles],
             counts: vec![ClampCounts::default(); particles.div_ceil(CHUNK)],
             reports: vec![ContactReport::default(); scene.colliders.len()],
             clamps: ClampCounts::default(),
@@ -80,7 +127,7 @@ impl Core {
         };
         core.clusters.offsets.push(0);
         for (b, body) in scene.bodies.iter().enumerate() {
-            core.add_body(b as u16, body, s);
+            core.add_body(b as u16, body, s, order);
         }
         let p = &mut core.particles;
         p.predicted = p.x.clone();
@@ -91,7 +138,7 @@ impl Core {
         p.correction_count = vec![0; particles];
         p.total_count = vec![0; particles];
         core.finish_clusters();
-        core.positions = core.particles.x.iter().map(|x| x.to_array()).collect();
+        core.publish();
         core.frames = (0..core.clusters.len())
             .map(|c| ClusterFrame {
                 rotation: rotation_of(&core.clusters.rotation, c).to_array(),
@@ -101,26 +148,46 @@ impl Core {
         Ok(core)
     }
 
-    fn add_body(&mut self, index: u16, body: &SoftBody, s: &Settings) {
+    fn add_body(&mut self, index: u16, body: &SoftBody, s: &Settings, order: Order) {
         let p = &mut self.particles;
         let first = p.x.len();
         let n = body.particle_count();
+        let given = match order {
+            Order::AsGiven => (0..n).collect(),
+            Order::ByPlace => by_place(body, first),
+        };
+        let mut inside = vec![0; n];
+        for (k, &g) in given.iter().enumerate() {
+            inside[g] = (first + k) as u32;
+        }
+        self.given.extend(given.iter().map(|g| (first + g) as u32));
         let place = |x: &[f32; 3]| Vec3A::from(body.placement.apply(Vec3::from(*x)));
-        p.x.extend(body.positions.iter().map(place));
-        p.rest.extend(body.positions.iter().map(|&x| Vec3A::from(x)));
         let inverse = 1.0 / body.mass_g;
-        p.inverse_mass
-            .extend(body.pinned.iter().map(|&pin| if pin { 0.0 } else { inverse }));
+        for &g in &given {
+            p.x.push(place(&body.positions[g]));
+            p.rest.push(body.positions[g].into());
+            p.inverse_mass.push(if body.pinned[g] { 0.0 } else { inverse });
+            p.area_mm2.push(body.area_mm2[g]);
+        }
         p.body.extend(std::iter::repeat_n(index, n));
-        p.area_mm2.extend_from_slice(&body.area_mm2);
 
         let c = &mut self.clusters;
         let first_cluster = c.len();
         let base = c.members.len() as u32;
         c.offsets.extend(body.offsets[1..].iter().map(|o| o + base));
-        c.members.extend(body.members.iter().map(|m| m + first as u32));
-        c.local
-            .extend(body.local.iter().map(|&q| Vec3::from(q).extend(0.0)));
+        for w in body.offsets.windows(2) {
+            let row = w[0] as usize..w[1] as usize;
+            let mut members: Vec<(u32, Vec4)> = body.members[row.clone()]
+                .iter()
+                .zip(&body.local[row])
+                .map(|(&m, &q)| (inside[m as usize], Vec3::from(q).extend(0.0)))
+                .collect();
+            if order == Order::ByPlace {
+                members.sort_unstable_by_key(|m| m.0);
+            }
+            c.members.extend(members.iter().map(|m| m.0));
+            c.local.extend(members.iter().map(|m| m.1));
+        }
         c.stiffness.extend_from_slice(&body.stiffness);
         c.mean.extend(body.centres.iter().map(place));
         for k in first_cluster..c.len() {

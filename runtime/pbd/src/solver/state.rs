@@ -81,8 +81,8 @@ impl Solver {
         let pose = |p: &Pose| (p.rotation.to_array(), p.translation.to_array());
         SolverState {
             steps: c.steps,
-            positions: c.particles.x.iter().map(|x| x.to_array()).collect(),
-            velocities: c.particles.velocity.iter().map(|v| v.to_array()).collect(),
+            positions: c.in_given_order(&c.particles.x),
+            velocities: c.in_given_order(&c.particles.velocity),
             rotations: (0..c.clusters.len())
                 .map(|k| rotation_of(&c.clusters.rotation, k).to_array())
                 .collect(),
@@ -103,11 +103,9 @@ impl Solver {
         let c = &mut self.core;
         state.check(c.particles.x.len(), c.clusters.len(), c.solids.list.len())?;
         c.steps = state.steps;
-        for (x, &v) in c.particles.x.iter_mut().zip(&state.positions) {
-            *x = v.into();
-        }
-        for (x, &v) in c.particles.velocity.iter_mut().zip(&state.velocities) {
-            *x = v.into();
+        for (k, &g) in c.given.iter().enumerate() {
+            c.particles.x[k] = state.positions[g as usize].into();
+            c.particles.velocity[k] = state.velocities[g as usize].into();
         }
         for (k, &q) in state.rotations.iter().enumerate() {
             c.clusters.rotation[k / CLUSTER_LANES].set_lane(k % CLUSTER_LANES, Quat::from_array(q));
@@ -154,13 +152,11 @@ impl Solver {
     pub fn digest(&self) -> u64 {
         let c = &self.core;
         let mut hash = Fnv::default();
-        for v in c
-            .particles
-            .x
-            .iter()
-            .chain(&c.particles.velocity)
-            .chain(&c.clusters.mean)
-        {
+        for v in [&c.particles.x, &c.particles.velocity] {
+            let v = c.in_given_order(v);
+            v.as_flattened().iter().for_each(|f| hash.add(f.to_bits()));
+        }
+        for v in &c.clusters.mean {
             v.to_array().into_iter().for_each(|f| hash.add(f.to_bits()));
         }
         for k in 0..c.clusters.len() {
@@ -173,9 +169,7 @@ impl Solver {
 
 impl Core {
     fn refresh(&mut self) {
-        for (out, x) in self.positions.iter_mut().zip(&self.particles.x) {
-            *out = x.to_array();
-        }
+        self.publish();
         for (c, f) in self.frames.iter_mut().enumerate() {
             f.rotation = rotation_of(&self.clusters.rotation, c).to_array();
             f.translation = self.clusters.mean[c].to_array();

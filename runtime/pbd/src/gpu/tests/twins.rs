@@ -40,7 +40,7 @@ impl Pair {
         cpu.set_pose(2, Pose::new(next.rotation, next.translation - Vec3::Y * 2.0))?;
         let mut twin = GpuSolver::new(gpu, &scene, settings)?;
         twin.restore(&cpu.save())?;
-        let mut core = Core::new(&scene, settings)?;
+        let mut core = Core::new(&scene, settings, solver::Order::AsGiven)?;
         let state = cpu.save();
         for (x, &v) in core.particles.x.iter_mut().zip(&state.positions) {
             *x = v.into();
