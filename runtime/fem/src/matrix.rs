@@ -22,7 +22,7 @@ impl Row {
 }
 
 /// Block row i couples node slot i with its neighbours. Each row is an array of its own that grows with new edges;
-/// a removed edge leaves zero blocks, a removed node a zero row, until [`BlockMatrix::compact`].
+/// a removed edge leaves zero blocks, a removed node a zero row, until rows are compacted after some thousand edits.
 #[derive(Clone, Debug, Default)]
 pub struct BlockMatrix {
     pub(crate) rows: Vec<Row>,
