@@ -150,14 +150,14 @@ impl Rod {
                 }
             }
         }
+        let mut tangent = self.smooth_tangents(&draft);
         let mut j = first;
         while j < end(&draft, report.first_coupled) {
             if draft.rest_length[j] <= limits.max_mm {
                 j += 1;
                 continue;
             }
-            let (position, velocity) = self.middle(&draft, j);
-            draft.insert_middle(j, position, velocity);
+            self.split(&mut draft, &mut tangent, j);
             report.split += 1;
             report.first_coupled = report.first_coupled.map(|c| c + 1);
             report.stuck.iter_mut().filter(|s| **s > j).for_each(|s| *s += 1);
@@ -169,29 +169,38 @@ impl Rod {
         Ok(report)
     }
 
-    /// Middle of edge `j` of the draft on the cubic through its nodes with their tangents, and the needle's velocity there.
-    fn middle(&self, draft: &Draft, j: usize) -> (DVec3, DVec3) {
+    /// Tangents of a smooth curve through the draft's nodes: of the circle through each node and its neighbours (in which the
+    /// shorter edge tells more); at the sleeve's mouth the sleeve's direction.
+    fn smooth_tangents(&self, draft: &Draft) -> Vec<DVec3> {
+        let edges: Vec<DVec3> = draft.position.windows(2).map(|w| w[1] - w[0]).collect();
+        let last = edges.len() - 1;
+        (0..=edges.len())
+            .map(|i| match i {
+                0 => edges[0].normalize_or_zero(),
+                1 if self.held.base => edges[0].normalize_or_zero(),
+                i if i > last => edges[last].normalize_or_zero(),
+                i => {
+                    let (a, b) = (edges[i - 1], edges[i]);
+                    (a / a.length_squared() + b / b.length_squared()).normalize_or(b.normalize_or_zero())
+                }
+            })
+            .collect()
+    }
+
+    /// Splits edge `j` at the middle of the cubic through its nodes with their tangents.
+    fn split(&self, draft: &mut Draft, tangent: &mut Vec<DVec3>, j: usize) {
         let (p0, p1) = (draft.position[j], draft.position[j + 1]);
-        let direction = |k: usize| (draft.position[k + 1] - draft.position[k]).normalize_or_zero();
-        let along = direction(j);
-        // At the sleeve's mouth the needle has the sleeve's direction.
-        let before = match j {
-            0 => along,
-            1 if self.held.base => direction(0),
-            _ => (direction(j - 1) + along).normalize_or(along),
-        };
-        let after = if j + 2 < draft.position.len() {
-            (along + direction(j + 1)).normalize_or(along)
-        } else {
-            along
-        };
-        let position = 0.5 * (p0 + p1) + p0.distance(p1) / 8.0 * (before - after);
+        let (t0, t1) = (tangent[j], tangent[j + 1]);
+        let length = p0.distance(p1);
+        let position = 0.5 * (p0 + p1) + length / 8.0 * (t0 - t1);
+        let middle = (1.5 * (p1 - p0) - 0.25 * length * (t0 + t1)).normalize_or(t0);
         let mut velocity = 0.5 * (draft.velocity[j] + draft.velocity[j + 1]);
         if j == 1 && self.held.base {
             // Needle leaves the mouth at the speed at which it is fed, although the mouth's node does not move with it.
-            velocity += 0.5 * self.feed_mm_per_s * before;
+            velocity += 0.5 * self.feed_mm_per_s * t0;
         }
-        (position, velocity)
+        draft.insert_middle(j, position, velocity);
+        tangent.insert(j + 1, middle);
     }
 
     fn draft(&self) -> Draft {
