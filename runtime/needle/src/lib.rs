@@ -4,7 +4,8 @@
 //! From: what a needle is made of ([`NeedleParams`]), where it starts, how its base moves ([`BaseMotion`]), what acts on it
 //! ([`Loads`]).
 //! Makes: its motion, alone ([`Rod::step`], [`Rod::equilibrium`]) or as the block-banded part of a system coupled with tissue
-//! ([`Rod::begin_step`], [`StepSystem`], [`Rod::finish_step`]); interpolation of its quantities when its nodes change.
+//! ([`Rod::begin_step`], [`StepSystem`], [`Rod::finish_step`]); interpolation of its quantities when its nodes change; the
+//! friction states of nodes shared with tissue ([`solve_stick_slip`]).
 //! Refuses: parameters out of range, nodes that make no needle, a needle bent back on itself, more retraction than there is.
 //!
 //! Units: mm, g, s; so force is µN, stress Pa, energy nJ.
@@ -12,17 +13,24 @@
 
 mod akima;
 mod banded;
+mod bicycle;
 mod error;
 mod frame;
 mod params;
 mod rod;
+mod stick_slip;
 
 pub use akima::Akima;
 pub use banded::{BandFactor, BlockBand};
+pub use bicycle::{Bicycle, BicycleParams};
 pub use error::NeedleError;
 pub use frame::{MaterialFrame, transport};
 pub use params::{NeedleParams, PreBend, Stiffness, gauge_outer_diameter_mm};
 pub use rod::{
     BaseMotion, EdgeLimits, Energy, Equilibrium, EquilibriumParams, Evaluation, Held, Loads, NewmarkParams,
     RefineReport, Rod, StepReport, StepSystem, Tangent,
+};
+pub use stick_slip::{
+    FrictionLimit, FrictionState, Repeat, StickSlipOutcome, StickSlipParams, StickSlipSystem, carry_states,
+    solve_stick_slip,
 };

@@ -287,4 +287,26 @@ mod tests {
         assert_eq!(gauge_outer_diameter_mm(18), Some(1.2));
         assert_eq!(gauge_outer_diameter_mm(35), None);
     }
+
+    #[test]
+    fn parameters_read_from_text() {
+        let text =
+            "youngs_modulus_pa = 2e11\npre_bend = [{ length_mm = 8.0, curvature_per_mm = [0.0, 0.02] }]\n";
+        let read: NeedleParams = toml::from_str(text).unwrap();
+        let pre_bend = vec![PreBend {
+            length_mm: 8.0,
+            curvature_per_mm: [0.0, 0.02],
+        }];
+        assert_eq!(
+            read,
+            NeedleParams {
+                youngs_modulus_pa: 2e11,
+                pre_bend,
+                ..Default::default()
+            }
+        );
+        let again: NeedleParams = toml::from_str(&toml::to_string(&read).unwrap()).unwrap();
+        assert_eq!(again, read);
+        assert!(toml::from_str::<NeedleParams>("youngs_modulus = 2e11").is_err());
+    }
 }
