@@ -31,6 +31,6 @@ pub use rod::{
     RefineReport, Rod, StepReport, StepSystem, Tangent,
 };
 pub use stick_slip::{
-    FrictionLimit, FrictionState, Repeat, StickSlipOutcome, StickSlipParams, StickSlipSystem, carry_states,
+    FrictionLimit, FrictionState, StickSlipOutcome, StickSlipParams, StickSlipSystem, carry_states,
     solve_stick_slip,
 };

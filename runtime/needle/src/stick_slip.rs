@@ -81,17 +81,6 @@ pub trait StickSlipSystem {
     fn slip_mm(&self, node: usize) -> f64;
 }
 
-/// What to try when the paper's rule leads to states that were tried before.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Repeat {
-    /// The next untried states in lexicographic order, the first node (where the needle enters) as the least digit: the paper's.
-    #[default]
-    Lexicographic,
-    /// Change the violated node of least index alone (Murty's rule for linear complementarity); then as the paper.
-    LeastIndex,
-}
-
 /// Settings of [`solve_stick_slip`].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -106,8 +95,6 @@ pub struct StickSlipParams {
     pub force_tolerance: f64,
     /// Slip the wrong way that counts in the final check, mm. Default 1e-6.
     pub slip_tolerance_mm: f64,
-    /// What to try when states would repeat. Default the paper's.
-    pub repeat: Repeat,
 }
 
 impl Default for StickSlipParams {
@@ -118,7 +105,6 @@ impl Default for StickSlipParams {
             max_trials: 10,
             force_tolerance: 1e-6,
             slip_tolerance_mm: 1e-6,
-            repeat: Repeat::Lexicographic,
         }
     }
 }
@@ -219,7 +205,7 @@ where
         let next = if violated.is_empty() || last {
             None
         } else {
-            next_states(system, &states, &violated, &tried, params)
+            next_states(system, &states, &violated, &tried)
         };
         match next {
             Some(next) => states = next,
@@ -271,13 +257,13 @@ fn violations<S: StickSlipSystem>(
         .collect()
 }
 
-/// States to try next, not tried before; `None` when all have been.
+/// States to try next: the paper's changes, or where these were tried before the next untried ones in lexicographic order with
+/// the first node (where the needle enters) as the least digit; `None` when all have been tried.
 fn next_states<S: StickSlipSystem>(
     system: &S,
     states: &[FrictionState],
     violated: &[usize],
     tried: &[Vec<FrictionState>],
-    params: &StickSlipParams,
 ) -> Option<Vec<FrictionState>> {
     let change = |node: usize| match states[node] {
         FrictionState::Static if system.constraint_force_un(node) > 0.0 => FrictionState::Backward,
@@ -288,13 +274,6 @@ fn next_states<S: StickSlipSystem>(
     violated.iter().for_each(|&i| next[i] = change(i));
     if !tried.contains(&next) {
         return Some(next);
-    }
-    if params.repeat == Repeat::LeastIndex {
-        let mut one = states.to_vec();
-        one[violated[0]] = change(violated[0]);
-        if !tried.contains(&one) {
-            return Some(one);
-        }
     }
     // As many steps as were tried and one more must meet an untried one, if there is any.
     for _ in 0..=tried.len() {

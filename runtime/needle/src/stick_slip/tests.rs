@@ -242,36 +242,46 @@ fn decode(mut code: usize, q: usize) -> Vec<FrictionState> {
 #[test]
 fn agrees_with_trying_everything() {
     let mut random = Random(7);
-    for repeat in [Repeat::Lexicographic, Repeat::LeastIndex] {
-        let (mut within_ten, mut trials) = (0, 0);
-        let cases = 300;
-        for case in 0..cases {
-            let q = 2 + case % 4;
+    let (mut within_ten, cases) = (0, 600);
+    for case in 0..cases {
+        let q = 2 + case % 4;
+        let (mut line, limits) = random.line(q);
+        line.loose = case % 2 == 0;
+        let all: Vec<_> = (0..3usize.pow(q as u32)).map(|c| decode(c, q)).collect();
+        let consistent: Vec<_> = all.iter().filter(|s| line.is_consistent(&limits, s)).collect();
+        assert_eq!(consistent.len(), 1, "case {case}: {consistent:?}");
+        let guess = decode((case * 31) % 3usize.pow(q as u32), q);
+        let enough = StickSlipParams {
+            max_trials: 1000,
+            ..sharp()
+        };
+        let outcome = solve_stick_slip(&mut line, &limits, &guess, &enough).unwrap();
+        assert!(outcome.consistent, "case {case}: {outcome:?}");
+        assert_eq!(&outcome.states, consistent[0], "case {case}");
+        within_ten += usize::from(outcome.trials <= 10);
+    }
+    assert!(within_ten * 100 >= 99 * cases, "{within_ten} of {cases}");
+}
+
+/// Reversal: every one of 25 nodes guessed to slide one way, the needle pushed or pulled at random; from a soft needle to one a
+/// million times as stiff as the tissue. Ten trials suffice.
+#[test]
+fn reversal_settles_within_ten_trials() {
+    let mut random = Random(5);
+    for neighbour in [3.0, 300.0, 3e5] {
+        for case in 0..100 {
+            let q = 25;
             let (mut line, limits) = random.line(q);
-            line.loose = case % 2 == 0;
-            let all: Vec<_> = (0..3usize.pow(q as u32)).map(|c| decode(c, q)).collect();
-            let consistent: Vec<_> = all.iter().filter(|s| line.is_consistent(&limits, s)).collect();
-            assert_eq!(consistent.len(), 1, "case {case}: {consistent:?}");
-            let guess = decode((case * 31) % 3usize.pow(q as u32), q);
-            let enough = StickSlipParams {
-                max_trials: 1000,
-                repeat,
-                ..sharp()
-            };
-            let outcome = solve_stick_slip(&mut line, &limits, &guess, &enough).unwrap();
-            assert!(outcome.consistent, "case {case}: {outcome:?}");
-            assert_eq!(&outcome.states, consistent[0], "case {case}");
-            within_ten += usize::from(outcome.trials <= 10);
-            trials += outcome.trials;
+            line.needle = random.chain(q, 0.1, neighbour, 0.0);
+            line.needle_rhs.fill(0.0);
+            line.needle_rhs[0] = 25.0 * random.next();
+            let guess = vec![if case % 2 == 0 { Forward } else { Backward }; q];
+            let outcome = solve_stick_slip(&mut line, &limits, &guess, &sharp()).unwrap();
+            assert!(
+                outcome.consistent && outcome.trials <= 10,
+                "{neighbour} {case}: {outcome:?}"
+            );
         }
-        println!(
-            "{repeat:?}: within ten trials {within_ten} of {cases}, mean {:.3}",
-            trials as f64 / cases as f64
-        );
-        assert!(
-            within_ten * 100 >= 99 * cases,
-            "{repeat:?}: {within_ten} of {cases}"
-        );
     }
 }
 
@@ -294,7 +304,6 @@ fn states_carry_from_step_to_step() {
         states = outcome.states;
     }
     let mean = trials as f64 / 400.0;
-    println!("mean trials {mean}, consistent {consistent} of 400");
     assert!(mean < 1.3 && consistent == 400, "{mean} {consistent}");
 }
 
