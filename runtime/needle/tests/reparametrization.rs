@@ -141,6 +141,29 @@ fn even_strain_stays_even() {
     }
 }
 
+/// Akima's curve falls between steep neighbours (here rest lengths of 10 beside one of 0.1, for nodes 1 apart); rest lengths
+/// stay positive all the same, and add up.
+#[test]
+fn rest_lengths_stay_positive() {
+    let nodes: Vec<DVec3> = (-1..6).map(|i| DVec3::new(f64::from(i), 0.0, 0.0)).collect();
+    let held = palpate_needle::Held {
+        base: true,
+        tip: false,
+    };
+    let lengths = vec![1.0, 10.0, 10.0, 0.1, 10.0, 10.0];
+    let mut rod = Rod::with_rest_lengths(NeedleParams::default(), nodes, lengths, DVec3::Y, held).unwrap();
+    let new = [-1.0, 0.0, 1.0, 2.3, 2.5, 2.7, 4.0, 5.0]
+        .map(|x| DVec3::new(x, 0.0, 0.0))
+        .to_vec();
+    rod.reparametrize(new).unwrap();
+    assert!(
+        rod.rest_length().iter().all(|l| *l > 0.001),
+        "{:?}",
+        rod.rest_length()
+    );
+    assert!((rod.rest_length()[1..].iter().sum::<f64>() - 40.1).abs() < 1e-12);
+}
+
 #[test]
 fn refusals_leave_the_needle_alone() {
     let mut rod = bent();

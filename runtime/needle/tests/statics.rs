@@ -133,7 +133,7 @@ fn elastica_of_a_cantilever() {
             let expected = DVec3::new(100.0 * (1.0 - shortening), 100.0 * deflection, 0.0);
             errors.push(tip(&rod).distance(expected));
         }
-        assert!(errors[2] < 0.05, "alpha {alpha}: {errors:?} mm");
+        assert!(errors[2] < 0.01, "alpha {alpha}: {errors:?} mm");
         let order = (errors[0] / errors[1]).log2();
         assert!(
             (order - 2.0).abs() < 0.2,
