@@ -1,9 +1,11 @@
 //! Holds the back of a package's FEM organ as in a mould, presses it from the front with a probe, lets go, and prints what it does.
 //!
-//! `cargo run --release -p palpate-fem --example press -- PACKAGE [SETTINGS.toml] [FOLDER for VTU files]`
+//! `cargo run --release -p palpate-fem --example press -- PACKAGE [SETTINGS.toml] [FOLDER for VTU files] [LAW]`
+//!
+//! `-` leaves out an argument; LAW is one of `linear`, `rotated_linear`, `corotated`, `neo_hookean`, `stable_neo_hookean`.
 
 use glam::DVec3;
-use palpate_fem::{Place, Settings, Shape, Simulation, Solid, TissueMesh, TissueTable};
+use palpate_fem::{Law, Place, Settings, Shape, Simulation, Solid, TissueMesh, TissueTable};
 use palpate_package::ModelPackage;
 use std::error::Error;
 
@@ -14,16 +16,24 @@ fn main() -> Result<(), Box<dyn Error>> {
     let args: Vec<String> = std::env::args().skip(1).collect();
     let path = args
         .first()
-        .ok_or("usage: press PACKAGE [SETTINGS.toml] [FOLDER]")?;
+        .ok_or("usage: press PACKAGE [SETTINGS.toml] [FOLDER] [LAW]")?;
     let settings: Settings = match args.get(1) {
         Some(file) if file != "-" => toml::from_str(&std::fs::read_to_string(file)?)?,
         _ => Settings::default(),
     };
     let package = ModelPackage::read(path)?;
     let mesh = TissueMesh::from_package(&package)?;
-    let (materials, warnings) = TissueTable::default().materials(&package.info.regions)?;
+    let (mut materials, warnings) = TissueTable::default().materials(&package.info.regions)?;
     for w in warnings {
         println!("warning: {w}");
+    }
+    if let Some(law) = args.get(3) {
+        #[derive(serde::Deserialize)]
+        struct Choice {
+            law: Law,
+        }
+        let Choice { law } = toml::from_str(&format!("law = \"{law}\""))?;
+        materials.iter_mut().for_each(|m| m.law = law);
     }
     let (mut lo, mut hi) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
     for p in mesh.rest() {
@@ -65,6 +75,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         "   t/s  depth  probe/N  nodes  deepest  max|d|  least J  newton solves   iter  renewed  F&J/ms  solve/ms"
     );
     let (mut times, mut assembly, mut solving, mut iterations) = (vec![], vec![], vec![], vec![]);
+    let mut renewed = 0.0;
     // One second of rest, a press of 13 mm in two, one held, away in one, one alone.
     let steps = (6.0 / dt).round() as u64;
     for step in 1..=steps {
@@ -83,6 +94,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         assembly.push(r.assembly_time_s);
         solving.push(r.solve_time_s);
         iterations.push(f64::from(r.iterations));
+        renewed += r.renewed_share;
         if step % (steps / 30).max(1) == 0 || step < 4 {
             let most = s
                 .positions()
@@ -107,10 +119,15 @@ fn main() -> Result<(), Box<dyn Error>> {
                 r.renewed_share,
                 r.assembly_time_s * 1e3,
                 r.solve_time_s * 1e3,
-                if r.preconditioned { "  preconditioned" } else { "" },
+                match (r.braked, r.substeps > 1, r.preconditioned) {
+                    (true, ..) => "  braked",
+                    (_, true, _) => "  halved",
+                    (_, _, true) => "  preconditioned",
+                    _ => "",
+                },
             );
         }
-        if let Some(folder) = args.get(2)
+        if let Some(folder) = args.get(2).filter(|f| *f != "-")
             && step % (steps / 30).max(1) == 0
         {
             let origin = DVec3::from_array(package.info.local_origin_mm);
@@ -131,5 +148,14 @@ fn main() -> Result<(), Box<dyn Error>> {
             list[list.len() - 1] * scale
         );
     }
+    println!(
+        "Jacobians renewed: {:.2} % of the tets a step",
+        100.0 * renewed / steps as f64
+    );
+    let mean = s.positions().iter().sum::<DVec3>() / s.positions().len() as f64;
+    println!(
+        "mean position at the end: {:.6} {:.6} {:.6}",
+        mean.x, mean.y, mean.z
+    );
     Ok(())
 }

@@ -4,15 +4,13 @@ use crate::contact::Place;
 use crate::elements::Pass;
 use crate::matrix::dot;
 use crate::precondition::Precondition;
-use crate::simulation::{Constraint, Contact};
 use crate::{FemError, Filter, JacobianMode, Simulation, SolveReport, StepReport, conjugate_gradients};
 use glam::{DMat3, DVec3};
 use std::time::Instant;
 
-/// A contact is let go where its solid would have to pull harder than this, µN.
-const PULL_UN: f64 = 1e-3;
-/// A node deeper than this after a solve becomes a contact, mm.
-const DEEP_MM: f64 = 1e-3;
+mod contacts;
+
+use contacts::Drag;
 
 impl Simulation {
     /// Moves the tissue on by one time step.
@@ -113,29 +111,27 @@ impl Simulation {
     fn solve_step(&mut self) -> (Vec<DVec3>, StepReport) {
         let mut report = self.begin_step();
         let start = Instant::now();
-        let n = self.x.len();
         let mut a = self.a.clone();
-        let mut constraints = vec![None; n];
-        self.find_contacts();
+        let mut filter = Filter::default();
+        let mut drags = Vec::new();
         let mut passes = 0;
         while passes < self.settings.contact_passes {
             passes += 1;
-            self.constrain(&mut constraints);
-            let filter = Self::filter_of(&constraints);
-            let friction = self.add_friction();
-            for (i, c) in constraints.iter().enumerate() {
-                if let Some(c) = c {
-                    a[i] = c.free * a[i] + c.acceleration;
-                }
+            filter = self.constrain_step(&mut a);
+            drags = self.drags();
+            let undo = self.add_drags(&drags);
+            for d in &drags {
+                let n = d.node;
+                let ahead = self.v[n] + self.a[n] * (self.dt * (1.0 - self.newmark[1]));
+                self.rhs[n] -= d.drag * (ahead - d.solid_velocity);
             }
             let b = std::mem::take(&mut self.rhs);
             report.solve = self.solve_system(&filter, &b, &mut a, 0.0, &mut report);
-            self.matrix.multiply(&a, &mut self.reactions);
-            for (r, b) in self.reactions.iter_mut().zip(&b) {
-                *r -= *b;
-            }
             self.rhs = b;
-            self.remove_friction(friction);
+            self.react(&a);
+            for (d, (block, rhs)) in drags.iter().zip(undo) {
+                (self.matrix.rows[d.node].blocks[0], self.rhs[d.node]) = (block, rhs);
+            }
             if report.solve.indefinite
                 && self.settings.jacobian == JacobianMode::Exact
                 && !report.positive_part
@@ -155,14 +151,14 @@ impl Simulation {
         }
         report.newton = 1;
         if self.settings.newton_iterations > 1 {
-            self.converge(&constraints, &mut a, &mut report);
+            self.converge(&filter, &drags, &mut a, &mut report);
         }
         report.solve_time_s = start.elapsed().as_secs_f64();
         (a, report)
     }
 
     /// First half of a step: renews forces, Jacobians, the matrix A and the right-hand side b of A·a⁺ = b, holds and contacts
-    /// not yet in them. For systems that are coupled to others; [`Simulation::step`] does both halves.
+    /// not yet in them. For systems that are coupled to others; [`Simulation::step`] does both halves, and halves the step where needed.
     pub fn begin_step(&mut self) -> StepReport {
         self.begin_with(self.settings.jacobian)
     }
@@ -189,6 +185,7 @@ impl Simulation {
             *b += self.external(n);
         }
         self.rhs = rhs;
+        self.find_contacts();
         StepReport {
             renewed_share: self.elements.renewed_share,
             assembly_time_s: start.elapsed().as_secs_f64(),
@@ -201,22 +198,59 @@ impl Simulation {
         &self.rhs
     }
 
+    /// Puts the held parts of this step's accelerations into `a` and returns the directions left free: holds, contacts with solids
+    /// (friction is not in it), slots without tets.
+    pub fn constrain_step(&mut self, a: &mut [DVec3]) -> Filter {
+        let mut constraints = vec![None; a.len()];
+        self.constrain(&mut constraints);
+        for (a, c) in a.iter_mut().zip(&constraints) {
+            if let Some(c) = c {
+                *a = c.free * *a + c.acceleration;
+            }
+        }
+        Self::filter_of(&constraints)
+    }
+
+    /// Looks at a solution `a`: contacts that would pull are let go, nodes driven into a solid become contacts. True where that
+    /// changed the constraints, so that [`Simulation::constrain_step`] and the solve should be repeated.
+    pub fn correct_step(&mut self, a: &[DVec3]) -> bool {
+        self.react(a);
+        self.correct_contacts(a)
+    }
+
+    /// Reactions A·a − b.
+    fn react(&mut self, a: &[DVec3]) {
+        self.matrix.multiply(a, &mut self.reactions);
+        for (r, b) in self.reactions.iter_mut().zip(&self.rhs) {
+            *r -= *b;
+        }
+    }
+
     /// Solves A·x = b with the matrix of the step at hand, from the `x` given, in the free directions of `filter`.
     pub fn solve(&mut self, filter: &Filter, b: &[DVec3], x: &mut [DVec3], tolerance: f64) -> SolveReport {
+        self.solve_with(filter, b, x, tolerance, 0.0)
+    }
+
+    fn solve_with(
+        &mut self,
+        filter: &Filter,
+        b: &[DVec3],
+        x: &mut [DVec3],
+        tolerance: f64,
+        scale: f64,
+    ) -> SolveReport {
         self.ensure_precondition();
         let Some(precondition) = &self.precondition else {
             return SolveReport::default();
         };
-        conjugate_gradients::solve(
-            &self.matrix,
-            precondition,
-            filter,
-            b,
-            x,
-            tolerance,
-            0.0,
-            self.settings.solver_iterations,
-        )
+        let most = self.settings.solver_iterations;
+        let solve =
+            conjugate_gradients::solve(&self.matrix, precondition, filter, b, x, tolerance, scale, most);
+        let first = *self.first_iterations.get_or_insert(solve.iterations.max(8));
+        if f64::from(solve.iterations) > self.settings.preconditioner_patience * f64::from(first) {
+            self.precondition = None;
+        }
+        solve
     }
 
     /// Second half of a step: positions and velocities of the accelerations a⁺ (mm/s²); held nodes and contacts lose the velocity
@@ -265,11 +299,10 @@ impl Simulation {
     }
 
     /// Newton iterations after the first, with the contacts as they are.
-    fn converge(&mut self, constraints: &[Option<Constraint>], a: &mut [DVec3], report: &mut StepReport) {
+    fn converge(&mut self, filter: &Filter, drags: &[Drag], a: &mut [DVec3], report: &mut StepReport) {
         let n = self.x.len();
         let s = self.settings.clone();
         let (dt, beta, gamma) = (self.dt, self.newmark[0], self.newmark[1]);
-        let filter = Self::filter_of(constraints);
         let mut scaled = self.rhs.clone();
         filter.apply(&mut scaled);
         let scale = dot(&scaled, &scaled).sqrt();
@@ -294,6 +327,9 @@ impl Simulation {
             let mut residual: Vec<DVec3> = (0..n)
                 .map(|i| forces[i] + self.external(i) - a[i] * self.elements.mass[i])
                 .collect();
+            for d in drags {
+                residual[d.node] -= d.drag * (v[d.node] - d.solid_velocity);
+            }
             for i in 0..n {
                 self.reactions[i] = -residual[i];
             }
@@ -306,7 +342,11 @@ impl Simulation {
                 .assemble(self.dynamic_combination(), &mut self.matrix);
             let mut change = vec![DVec3::ZERO; n];
             let least = 0.1 * s.newton_tolerance / s.solver_tolerance * scale;
-            report.solve = self.solve_system(&filter, &residual, &mut change, least, report);
+            let undo = self.add_drags(drags);
+            report.solve = self.solve_system(filter, &residual, &mut change, least, report);
+            for (d, (block, _)) in drags.iter().zip(undo) {
+                self.matrix.rows[d.node].blocks[0] = block;
+            }
             for i in 0..n {
                 a[i] += change[i];
             }
@@ -322,26 +362,9 @@ impl Simulation {
         report: &mut StepReport,
     ) -> SolveReport {
         report.preconditioned |= self.ensure_precondition();
-        let Some(precondition) = &self.precondition else {
-            return SolveReport::default();
-        };
-        let s = &self.settings;
-        let solve = conjugate_gradients::solve(
-            &self.matrix,
-            precondition,
-            filter,
-            b,
-            a,
-            s.solver_tolerance,
-            scale,
-            s.solver_iterations,
-        );
+        let solve = self.solve_with(filter, b, a, self.settings.solver_tolerance, scale);
         report.solves += 1;
         report.iterations += solve.iterations;
-        let first = *self.first_iterations.get_or_insert(solve.iterations.max(8));
-        if f64::from(solve.iterations) > s.preconditioner_patience * f64::from(first) {
-            self.precondition = None;
-        }
         solve
     }
 
@@ -359,200 +382,5 @@ impl Simulation {
         ));
         self.first_iterations = None;
         true
-    }
-
-    /// Constraints of holds and contacts on the accelerations of this step.
-    fn constrain(&mut self, constraints: &mut [Option<Constraint>]) {
-        let s = &self.settings;
-        let (dt, beta) = (self.dt, self.newmark[0]);
-        // β·dt²·a⁺ that takes a node to x⁺ = target.
-        let reach = |n: usize, x: &[DVec3], target: DVec3, v: &[DVec3], a: &[DVec3]| {
-            ((target - x[n] - v[n] * dt) / (dt * dt) - a[n] * (0.5 - beta)) / beta
-        };
-        for n in 0..constraints.len() {
-            constraints[n] = None;
-            if self.mesh.around(n as u32).is_empty() {
-                constraints[n] = Some(Constraint {
-                    free: DMat3::ZERO,
-                    acceleration: DVec3::ZERO,
-                });
-            } else if let Some(h) = &self.holds[n] {
-                let a = reach(n, &self.x, h.position, &self.v, &self.a);
-                constraints[n] = Some(Constraint {
-                    free: h.free,
-                    acceleration: (DMat3::IDENTITY - h.free) * a,
-                });
-            }
-        }
-        for c in &self.contacts {
-            let n = c.node as usize;
-            let touch = self.solids[c.solid as usize].touch(self.x[n], Some(c.face));
-            let push = touch.depth.min(s.contact_push_mm);
-            let target = self.x[n] + touch.normal * push;
-            let wanted = reach(n, &self.x, target, &self.v, &self.a).dot(touch.normal);
-            let (free, held) =
-                constraints[n].map_or((DMat3::IDENTITY, DVec3::ZERO), |k| (k.free, k.acceleration));
-            let across = free * touch.normal;
-            let size = across.length_squared();
-            if size < 1e-12 {
-                continue;
-            }
-            let along = across * ((wanted - held.dot(touch.normal)) / size);
-            let shed =
-                DMat3::from_cols(across * across.x, across * across.y, across * across.z) * (1.0 / size);
-            constraints[n] = Some(Constraint {
-                free: free - shed,
-                acceleration: held + along,
-            });
-        }
-    }
-
-    /// Nodes that would be inside a solid at the end of the step become contacts.
-    fn find_contacts(&mut self) {
-        if self.solids.is_empty() {
-            return;
-        }
-        self.surface_nodes();
-        let dt = self.dt;
-        let Some(surface) = &self.surface else { return };
-        for &n in surface {
-            if self.contacts.iter().any(|c| c.node == n) {
-                continue;
-            }
-            let x = self.x[n as usize] + self.v[n as usize] * dt;
-            if let Some(contact) = self.deepest(n, x, 0.0) {
-                self.contacts.push(contact);
-            }
-        }
-        self.contacts.sort_by_key(|c| c.node);
-    }
-
-    fn deepest(&self, node: u32, x: DVec3, least: f64) -> Option<Contact> {
-        let mut best: Option<(f64, Contact)> = None;
-        for (k, solid) in self.solids.iter().enumerate() {
-            let touch = solid.touch(x, None);
-            if touch.depth > least && best.is_none_or(|(d, _)| touch.depth > d) {
-                best = Some((
-                    touch.depth,
-                    Contact {
-                        node,
-                        solid: k as u32,
-                        face: touch.face,
-                        push_un: 0.0,
-                    },
-                ));
-            }
-        }
-        best.map(|b| b.1)
-    }
-
-    /// Lets go contacts that pull and adds nodes that the solution drives into a solid; whether anything changed.
-    fn correct_contacts(&mut self, a: &[DVec3]) -> bool {
-        if self.solids.is_empty() {
-            return false;
-        }
-        let (dt, beta) = (self.dt, self.newmark[0]);
-        let after =
-            |n: usize| self.x[n] + self.v[n] * dt + (self.a[n] * (0.5 - beta) + a[n] * beta) * (dt * dt);
-        let mut changed = false;
-        let mut kept = Vec::with_capacity(self.contacts.len());
-        for c in &self.contacts {
-            let n = c.node as usize;
-            let normal = self.solids[c.solid as usize]
-                .touch(self.x[n], Some(c.face))
-                .normal;
-            let push = self.reactions[n].dot(normal);
-            // A node that slid off the face is no longer held by it.
-            let still = self.solids[c.solid as usize].touch(after(n), Some(c.face));
-            if push < -PULL_UN || still.face != c.face {
-                changed = true;
-            } else {
-                kept.push(Contact {
-                    push_un: push.max(0.0),
-                    ..*c
-                });
-            }
-        }
-        let let_go: Vec<u32> = self
-            .contacts
-            .iter()
-            .map(|c| c.node)
-            .filter(|n| kept.iter().all(|k| k.node != *n))
-            .collect();
-        let surface = self.surface.clone().unwrap_or_default();
-        for n in surface {
-            if let_go.contains(&n) || kept.iter().any(|c| c.node == n) {
-                continue;
-            }
-            if let Some(c) = self.deepest(n, after(n as usize), DEEP_MM) {
-                kept.push(c);
-                changed = true;
-            }
-        }
-        kept.sort_by_key(|c| c.node);
-        self.contacts = kept;
-        changed
-    }
-
-    /// Coulomb friction of the last step's pushes as a linear drag, in the matrix and the right-hand side; returns what to undo.
-    fn add_friction(&mut self) -> Vec<(usize, DMat3, DVec3)> {
-        let s = &self.settings;
-        let (dt, gamma) = (self.dt, self.newmark[1]);
-        let mut undo = Vec::new();
-        for c in &self.contacts {
-            let (n, solid) = (c.node as usize, &self.solids[c.solid as usize]);
-            if solid.friction == 0.0 || c.push_un == 0.0 {
-                continue;
-            }
-            let normal = solid.touch(self.x[n], Some(c.face)).normal;
-            let slide = self.v[n] - solid.velocity(self.x[n], dt);
-            let slide = slide - normal * normal.dot(slide);
-            let drag = solid.friction * c.push_un / slide.length().max(s.friction_speed_mm_s);
-            let tangent =
-                DMat3::IDENTITY - DMat3::from_cols(normal * normal.x, normal * normal.y, normal * normal.z);
-            undo.push((n, self.matrix.rows[n].blocks[0], self.rhs[n]));
-            self.matrix.rows[n].blocks[0] += tangent * (drag * gamma * dt);
-            let ahead = self.v[n] + self.a[n] * (dt * (1.0 - gamma)) - solid.velocity(self.x[n], dt);
-            self.rhs[n] -= tangent * ahead * drag;
-        }
-        undo
-    }
-
-    fn remove_friction(&mut self, undo: Vec<(usize, DMat3, DVec3)>) {
-        for (n, block, rhs) in undo {
-            self.matrix.rows[n].blocks[0] = block;
-            self.rhs[n] = rhs;
-        }
-    }
-
-    /// After the step: contacts move with their solids, forces are read out, the next step's contacts are those that hold now.
-    fn settle_contacts(&mut self, dt: f64) {
-        for s in &mut self.solids {
-            (s.force_un, s.contacts, s.depth_mm) = (DVec3::ZERO, 0, 0.0);
-        }
-        for c in &self.contacts {
-            let n = c.node as usize;
-            let solid = &self.solids[c.solid as usize];
-            let normal = solid.touch(self.x[n], Some(c.face)).normal;
-            let speed = solid.velocity(self.x[n], dt).dot(normal);
-            let (v, a) = (self.v[n], self.a[n]);
-            self.v[n] = v + normal * (speed - v.dot(normal));
-            self.a[n] = a - normal * a.dot(normal);
-            let solid = &mut self.solids[c.solid as usize];
-            solid.force_un += normal * c.push_un;
-            solid.contacts += 1;
-        }
-        if !self.solids.is_empty() {
-            self.surface_nodes();
-            let surface = self.surface.clone().unwrap_or_default();
-            for s in &mut self.solids {
-                for &n in &surface {
-                    s.depth_mm = s.depth_mm.max(s.touch(self.x[n as usize], None).depth);
-                }
-            }
-        }
-        for s in &mut self.solids {
-            s.before = s.place;
-        }
     }
 }

@@ -517,3 +517,125 @@ fn what_makes_no_sense_is_refused() {
         assert!(s.positions().iter().all(|p| p.is_finite()));
     }
 }
+
+#[test]
+fn plates_press_a_block_with_the_force_of_the_closed_form() {
+    // 20 mm cube between a floor and a larger plate, both without friction, pressed by 10 %: E·0.1·A with free sides.
+    let (points, tets) = crooked([20.0; 3], [4, 4, 4], 0.3);
+    let material = Material {
+        damping_s: 0.05,
+        ..material(Law::Corotated, 0.05)
+    };
+    let mut s = tissue(&points, &tets, material, weightless());
+    let floor = s.add_solid(Solid::new("floor", Shape::Plane, Place::at(DVec3::ZERO), 0.0).unwrap());
+    let half = DVec3::new(30.0, 30.0, 5.0);
+    let above = |gap: f64| Place::at(DVec3::new(10.0, 10.0, 20.0 + gap + half.z));
+    let plate = s.add_solid(
+        Solid::new(
+            "plate",
+            Shape::Cuboid {
+                half_extents_mm: half,
+            },
+            above(0.1),
+            0.0,
+        )
+        .unwrap(),
+    );
+    for step in 0..300 {
+        s.move_solid(plate, above((0.1 - 0.021 * f64::from(step)).max(-2.0)))
+            .unwrap();
+        s.step().unwrap();
+    }
+    let wanted = 5000.0 * 0.1 * 400.0;
+    for (solid, sign) in [(floor, 1.0), (plate, -1.0)] {
+        let found = s.solids()[solid].force_un;
+        assert!(
+            (found.z * sign / wanted - 1.0).abs() < 2e-3,
+            "{found} for {wanted}"
+        );
+        assert_eq!(s.solids()[solid].contacts, 25);
+    }
+    for (x, p) in s.positions().iter().zip(s.mesh().rest()) {
+        let wide = 1.0 + 0.4 * 0.1;
+        let wanted = DVec3::new(10.0 + (p.x - 10.0) * wide, 10.0 + (p.y - 10.0) * wide, 0.9 * p.z);
+        assert!((*x - wanted).length() < 0.02, "{x} for {wanted}");
+    }
+}
+
+#[test]
+fn a_probe_that_jumps_in_and_out_leaves_the_tissue_sound() {
+    for law in [Law::Corotated, Law::NeoHookean] {
+        let (points, tets) = crooked([40.0, 20.0, 40.0], [6, 3, 6], 0.2);
+        let mut s = tissue(&points, &tets, material(law, 0.02), Settings::default());
+        hold_where(&mut s, [true; 3], |p| p.y < 1e-9);
+        let half = DVec3::new(6.0, 10.0, 8.0);
+        let at = |depth: f64| Place::at(DVec3::new(20.0, 20.0 + half.y - depth, 20.0));
+        let probe = Solid::new(
+            "probe",
+            Shape::Cuboid {
+                half_extents_mm: half,
+            },
+            at(-1.0),
+            0.2,
+        )
+        .unwrap();
+        let probe = s.add_solid(probe);
+        let mut most = 0.0f64;
+        for step in 0..300 {
+            let depth = if step % 7 < 4 { 8.0 } else { -5.0 };
+            s.move_solid(probe, at(depth)).unwrap();
+            s.step().unwrap();
+            most = most.max(s.strain_energy_nj() + s.kinetic_energy_nj());
+        }
+        // A slow press to the same depth stores some 1e6 nJ.
+        println!("{law:?}: at most {most:.3e} nJ");
+        assert!(most < 3e7, "{law:?}: {most}");
+        for _ in 0..150 {
+            s.move_solid(probe, at(-5.0)).unwrap();
+            s.step().unwrap();
+        }
+        let least = s
+            .volume_ratios()
+            .iter()
+            .map(|v| v.1)
+            .fold(f64::INFINITY, f64::min);
+        assert!(least > 0.5, "{law:?}: {least}");
+    }
+}
+
+#[test]
+fn a_step_taken_in_parts_is_a_step() {
+    let build = || {
+        let settings = Settings {
+            most_halvings: 0,
+            ..Settings::default()
+        };
+        let mut s = swinging(Law::Corotated, 0.02, settings);
+        let probe = Shape::Cuboid {
+            half_extents_mm: DVec3::splat(6.0),
+        };
+        s.add_solid(Solid::new("probe", probe, Place::at(DVec3::new(50.0, 7.0, 20.5)), 0.0).unwrap());
+        s
+    };
+    let (mut whole, mut parts) = (build(), build());
+    let mut touched = 0;
+    for _ in 0..20 {
+        whole.step().unwrap();
+        parts.begin_step();
+        let mut a = parts.accelerations().to_vec();
+        for _ in 0..parts.settings().contact_passes {
+            let filter = parts.constrain_step(&mut a);
+            let b = parts.right_hand_side().to_vec();
+            let tolerance = parts.settings().solver_tolerance;
+            parts.solve(&filter, &b, &mut a, tolerance);
+            if !parts.correct_step(&a) {
+                break;
+            }
+        }
+        parts.end_step(&a).unwrap();
+        touched += parts.solids()[0].contacts;
+        assert_eq!(whole.positions(), parts.positions());
+        assert_eq!(whole.velocities(), parts.velocities());
+    }
+    assert!(touched > 0);
+}

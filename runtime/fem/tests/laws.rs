@@ -235,7 +235,7 @@ fn smooth(law: Law, f: DMat3) -> bool {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(400))]
+    #![proptest_config(ProptestConfig { cases: 400, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
     fn stress_is_the_slope_of_energy(f in gradients(), d in prop::array::uniform9(-1.0f64..1.0)) {
