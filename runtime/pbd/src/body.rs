@@ -24,6 +24,8 @@ pub struct SoftBody {
     /// Share of the body's surface that belongs to each particle, mm².
     pub(crate) area_mm2: Vec<f32>,
     pub(crate) placement: Pose,
+    /// Where particles start, in the rest frame, where that is not `positions`.
+    pub(crate) start: Option<Vec<[f32; 3]>>,
 }
 
 /// Raw arrays of a body, for bodies that are not patients.
@@ -81,6 +83,7 @@ impl SoftBody {
             pinned: vec![false; p.positions.len()],
             area_mm2: Vec::new(),
             placement: Pose::IDENTITY,
+            start: None,
         };
         body.check()?;
         let organ = package.surfaces.iter().find(|s| s.kind == SurfaceKind::Organ);
@@ -140,6 +143,7 @@ impl SoftBody {
             pinned: vec![false; n],
             area_mm2: vec![raw.spacing_mm * raw.spacing_mm; n],
             placement: Pose::IDENTITY,
+            start: None,
         };
         body.check()?;
         Ok(body)

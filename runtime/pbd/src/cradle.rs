@@ -8,6 +8,8 @@ use serde::{Deserialize, Serialize};
 
 /// Passes of lowering before the mould is taken as it is.
 const PASSES: usize = 60;
+/// Radius of the opening that takes narrow ridges off the mould, cells.
+const OPENING_CELLS: usize = 2;
 /// Most nodes along a side.
 const MOST_NODES: f32 = 400.0;
 
@@ -15,9 +17,11 @@ const MOST_NODES: f32 = 400.0;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CradleParams {
-    /// Least distance between the organ's surface and the cradle, mm. See [`clearance_mm`].
+    /// Least distance between the organ's surface and the cradle, mm. 0: they touch, as organs do in the body.
     pub clearance_mm: f64,
-    /// Part of the organ's height, from below, that the cradle holds. As the plasticine of the synthetic experiment: 0.35.
+    /// Part of the organ's height, from below, that the cradle may reach. 1: the whole lower side lies in it up to the
+    /// outline, as an organ does in the fat and the neighbours below it; parts that hang high are held as well. The
+    /// plasticine of a bench experiment: about 0.35.
     pub height_fraction: f64,
     /// Spacing of the mould's vertices, mm: about a particle spacing, for finer triangles cost time and hold nothing.
     pub cell_mm: f64,
@@ -30,8 +34,8 @@ pub struct CradleParams {
 impl Default for CradleParams {
     fn default() -> Self {
         Self {
-            clearance_mm: 0.5,
-            height_fraction: 0.35,
+            clearance_mm: 0.0,
+            height_fraction: 1.0,
             cell_mm: 2.5,
             rim_mm: 8.0,
             floor_mm: 6.0,
@@ -76,13 +80,29 @@ pub fn clearance_mm(body: &SoftBody, surface: &TriangleMesh, settings: &Settings
 }
 
 /// A block with a mould of the surface's lower side: a closed mesh, its upper side a height field along `-down`, so
-/// that the organ can be lifted out. Every point of the surface that lies lower than the rim keeps the clearance.
+/// that the organ can be lifted out. Every point of the surface keeps the clearance.
 ///
 /// # Errors
 /// - [`PbdError::Setting`] for parameters out of range, or a direction without length.
 /// - [`PbdError::Array`], [`PbdError::Empty`] for a broken surface.
 /// - [`PbdError::TooMany`] for a cell far smaller than the organ.
 pub fn cradle(surface: &TriangleMesh, down: Vec3, params: &CradleParams) -> Result<TriangleMesh, PbdError> {
+    cradle_of_body(surface, &[], 0.0, down, params)
+}
+
+/// As [`cradle`], and no particle (centres, mm, in the surface's frame) lies nearer to it than `keep_mm`, the
+/// collider's collision distance: the body starts in its bed, touching it along its whole lower side, and nothing is
+/// pushed or drops.
+///
+/// # Errors
+/// As [`cradle`]; [`PbdError::Setting`] for a `keep_mm` that is negative or not finite.
+pub fn cradle_of_body(
+    surface: &TriangleMesh,
+    particles: &[[f32; 3]],
+    keep_mm: f64,
+    down: Vec3,
+    params: &CradleParams,
+) -> Result<TriangleMesh, PbdError> {
     params.check()?;
     surface.check()?;
     if !(down.is_finite() && down.length() > 1e-6) {
@@ -92,11 +112,24 @@ pub fn cradle(surface: &TriangleMesh, down: Vec3, params: &CradleParams) -> Resu
             expected: "a direction",
         });
     }
+    if !(0.0..=1e3).contains(&keep_mm) {
+        return Err(PbdError::Setting {
+            name: "keep_mm",
+            found: keep_mm.to_string(),
+            expected: "0 to 1000 mm",
+        });
+    }
     let up = -down.normalize();
     let (e1, e2) = up.any_orthonormal_pair();
     let flat = |p: Vec3| Vec3::new(e1.dot(p), e2.dot(p), up.dot(p));
     let mut field = Field::new(surface, flat, params)?;
-    field.lower_until_clear(params.clearance_mm as f32);
+    let mut guests = field.samples(surface, flat, params);
+    let centres = particles.iter().map(|&p| flat(p.into()));
+    guests.extend(centres.map(|at| Guest {
+        at,
+        keep: keep_mm as f32,
+    }));
+    field.lower_until_clear(guests);
     let mesh = field.mesh(params.floor_mm as f32);
     // (e1, e2, up) may be left-handed; the triangles must face outward in either case.
     let mirrored = e1.cross(e2).dot(up) < 0.0;
@@ -114,50 +147,34 @@ pub fn cradle(surface: &TriangleMesh, down: Vec3, params: &CradleParams) -> Resu
     })
 }
 
+/// A point that must keep a distance from the mould.
+#[derive(Clone, Copy)]
+struct Guest {
+    at: Vec3,
+    keep: f32,
+}
+
 /// Heights over a grid, in coordinates with z up.
 struct Field {
     origin: [f32; 2],
     cell: f32,
     dims: [usize; 2],
     height: Vec<f32>,
-    /// Points of the organ that must keep the clearance.
-    samples: Vec<Vec3>,
 }
 
 impl Field {
+    /// The lower side of the surface, column by column, less the clearance; beyond the outline it runs on level.
     fn new(surface: &TriangleMesh, flat: impl Fn(Vec3) -> Vec3, p: &CradleParams) -> Result<Self, PbdError> {
         let clearance = p.clearance_mm as f32;
         let vertices: Vec<Vec3> = surface.vertices.iter().map(|&v| flat(v.into())).collect();
-        let (lo, hi) = vertices
-            .iter()
-            .fold((f32::INFINITY, f32::NEG_INFINITY), |(lo, hi), v| {
-                (lo.min(v.z), hi.max(v.z))
-            });
-        let rim_height = lo + (hi - lo) * p.height_fraction as f32;
-        let spacing = (0.4 * p.cell_mm as f32).max(0.02);
-        let mut samples = Vec::new();
-        for t in &surface.triangles {
-            let [a, b, c] = t.map(|v| vertices[v as usize]);
-            if a.z.min(b.z).min(c.z) > rim_height + clearance {
-                continue;
-            }
-            let longest = a.distance(b).max(b.distance(c)).max(c.distance(a));
-            let n = ((longest / spacing).ceil() as usize).clamp(1, 200);
-            for i in 0..=n {
-                for j in 0..=n - i {
-                    let (u, v) = (i as f32 / n as f32, j as f32 / n as f32);
-                    let s = a + (b - a) * u + (c - a) * v;
-                    if s.z <= rim_height + clearance {
-                        samples.push(s);
-                    }
-                }
-            }
-        }
-        let around = p.rim_mm as f32 + clearance + p.cell_mm as f32;
         let (mut first, mut last) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
-        for s in &samples {
-            (first, last) = (first.min(*s), last.max(*s));
+        for t in &surface.triangles {
+            for v in t.map(|v| vertices[v as usize]) {
+                (first, last) = (first.min(v), last.max(v));
+            }
         }
+        let rim = first.z + (last.z - first.z) * p.height_fraction as f32;
+        let around = p.rim_mm as f32 + clearance + p.cell_mm as f32;
         let origin = [first.x - around, first.y - around];
         let cell = p.cell_mm as f32;
         let span = |k: usize| (last[k] + around - origin[k]) / cell;
@@ -169,30 +186,132 @@ impl Field {
             });
         }
         let dims = [span(0).ceil() as usize + 1, span(1).ceil() as usize + 1];
-        let mut height = vec![rim_height; dims[0] * dims[1]];
-        for s in &samples {
-            let at = [(s.x - origin[0]) / cell, (s.y - origin[1]) / cell];
-            let reach = clearance / cell;
-            let range =
-                |k: usize| (at[k] - reach).ceil().max(0.0) as usize..=(at[k] + reach).floor() as usize;
+        let mut low = vec![f32::INFINITY; dims[0] * dims[1]];
+        for t in &surface.triangles {
+            let c = t.map(|v| vertices[v as usize]);
+            let at = c.map(|v| [(v.x - origin[0]) / cell, (v.y - origin[1]) / cell]);
+            let range = |k: usize| {
+                let (lo, hi) = at
+                    .iter()
+                    .fold((f32::INFINITY, 0f32), |(lo, hi), a| (lo.min(a[k]), hi.max(a[k])));
+                lo.ceil().max(0.0) as usize..=(hi.floor() as usize).min(dims[k] - 1)
+            };
             for j in range(1) {
                 for i in range(0) {
-                    let (dx, dy) = ((i as f32 - at[0]) * cell, (j as f32 - at[1]) * cell);
-                    let room = clearance * clearance - dx * dx - dy * dy;
-                    if room >= 0.0 && i < dims[0] && j < dims[1] {
-                        let h = &mut height[i + dims[0] * j];
-                        *h = h.min(s.z - room.sqrt());
+                    let node = [i as f32, j as f32];
+                    if let Some(w) = shares(at, node) {
+                        let h = &mut low[i + dims[0] * j];
+                        *h = h.min(c[0].z * w[0] + c[1].z * w[1] + c[2].z * w[2]);
                     }
                 }
             }
         }
-        Ok(Self {
+        let mut out = Self {
             origin,
             cell,
             dims,
-            height,
-            samples,
-        })
+            height: low,
+        };
+        out.run_on();
+        for h in &mut out.height {
+            *h = if h.is_finite() {
+                (*h - clearance).min(rim)
+            } else {
+                rim
+            };
+        }
+        // What stands up into folds of the organ narrower than this holds nothing and would be caught in them.
+        out.spread(OPENING_CELLS, f32::min);
+        out.spread(OPENING_CELLS, f32::max);
+        Ok(out)
+    }
+
+    /// Continues heights into nodes that have none, ring by ring.
+    fn run_on(&mut self) {
+        let [nx, ny] = self.dims;
+        loop {
+            let before = &self.height;
+            let mut next = before.clone();
+            let mut changed = false;
+            for j in 0..ny {
+                for i in 0..nx {
+                    if before[i + nx * j].is_finite() {
+                        continue;
+                    }
+                    let (mut sum, mut count) = (0.0, 0);
+                    for b in j.saturating_sub(1)..=(j + 1).min(ny - 1) {
+                        for a in i.saturating_sub(1)..=(i + 1).min(nx - 1) {
+                            let h = before[a + nx * b];
+                            if h.is_finite() {
+                                sum += h;
+                                count += 1;
+                            }
+                        }
+                    }
+                    if count > 0 {
+                        next[i + nx * j] = sum / count as f32;
+                        changed = true;
+                    }
+                }
+            }
+            self.height = next;
+            if !changed {
+                return;
+            }
+        }
+    }
+
+    /// Each height becomes the least or largest (`pick`) within so many cells.
+    fn spread(&mut self, cells: usize, pick: impl Fn(f32, f32) -> f32) {
+        let [nx, ny] = self.dims;
+        let disc = (cells * cells) as i64;
+        let old = std::mem::take(&mut self.height);
+        for j in 0..ny {
+            for i in 0..nx {
+                let mut h = old[i + nx * j];
+                for b in j.saturating_sub(cells)..=(j + cells).min(ny - 1) {
+                    for a in i.saturating_sub(cells)..=(i + cells).min(nx - 1) {
+                        let (dx, dy) = (a as i64 - i as i64, b as i64 - j as i64);
+                        if dx * dx + dy * dy <= disc {
+                            h = pick(h, old[a + nx * b]);
+                        }
+                    }
+                }
+                self.height.push(h);
+            }
+        }
+    }
+
+    /// Points all over the surface.
+    fn samples(&self, surface: &TriangleMesh, flat: impl Fn(Vec3) -> Vec3, p: &CradleParams) -> Vec<Guest> {
+        let spacing = (0.4 * self.cell).max(0.02);
+        let mut out = Vec::new();
+        for t in &surface.triangles {
+            let [a, b, c] = t.map(|v| flat(surface.vertices[v as usize].into()));
+            let longest = a.distance(b).max(b.distance(c)).max(c.distance(a));
+            let n = ((longest / spacing).ceil() as usize).clamp(1, 200);
+            for i in 0..=n {
+                for j in 0..=n - i {
+                    let (u, v) = (i as f32 / n as f32, j as f32 / n as f32);
+                    out.push(Guest {
+                        at: a + (b - a) * u + (c - a) * v,
+                        keep: p.clearance_mm as f32,
+                    });
+                }
+            }
+        }
+        out
+    }
+
+    /// Whether the mould can come nearer to a guest than it may: not where all of it around lies too low.
+    fn concerns(&self, g: &Guest) -> bool {
+        let [nx, ny] = self.dims;
+        let range = |k: usize, n: usize| {
+            let at = (g.at[k] - self.origin[k]) / self.cell;
+            let reach = g.keep / self.cell + 1.0;
+            (at - reach).floor().max(0.0) as usize..=((at + reach).ceil().max(0.0) as usize).min(n - 1)
+        };
+        range(1, ny).any(|j| range(0, nx).any(|i| self.height[i + nx * j] + g.keep > g.at.z))
     }
 
     fn vertex(&self, i: usize, j: usize) -> Vec3 {
@@ -201,25 +320,25 @@ impl Field {
         Vec3::new(x, y, self.height[i + self.dims[0] * j])
     }
 
-    /// Lowers vertices of the triangles that are nearest to samples without clearance, until all have it.
-    fn lower_until_clear(&mut self, clearance: f32) {
+    /// Lowers vertices of the triangles that are nearest to guests without their distance, until all have it.
+    fn lower_until_clear(&mut self, mut open: Vec<Guest>) {
+        open.retain(|g| self.concerns(g));
         // Deepest violation first would be order-dependent; all at once and the largest per vertex is not.
-        let mut open = self.samples.clone();
         for _ in 0..PASSES {
             let top = self.top();
             let solid = MeshSolid::new(&top);
             let wanted: Vec<Option<(u32, f32)>> = open
                 .par_iter()
-                .map(|&s| {
-                    let (t, d) = solid.nearest_triangle(s)?;
-                    (d < clearance).then_some((t, clearance - d))
+                .map(|g| {
+                    let (t, d) = solid.nearest_triangle(g.at)?;
+                    (d < g.keep).then_some((t, g.keep - d))
                 })
                 .collect();
             let mut lower = vec![0f32; self.height.len()];
             let mut left = Vec::new();
-            for (s, w) in open.iter().zip(&wanted) {
+            for (g, w) in open.iter().zip(&wanted) {
                 let Some((t, deficit)) = *w else { continue };
-                left.push(*s);
+                left.push(*g);
                 let corners = top.triangles[t as usize];
                 let [a, b, c] = top.corners(t as usize);
                 let steep = (b - a).cross(c - a).normalize_or(Vec3::Z).z.max(0.25);
@@ -233,6 +352,7 @@ impl Field {
             for (h, d) in self.height.iter_mut().zip(&lower) {
                 *h -= d;
             }
+            // Where a triangle was lowered, its neighbours are the nearest now: those that were clear stay so.
             open = left;
         }
     }
@@ -292,4 +412,22 @@ impl Field {
         }
         mesh
     }
+}
+
+/// Barycentric shares of a point in a triangle of the plane; none outside.
+fn shares(c: [[f32; 2]; 3], p: [f32; 2]) -> Option<[f32; 3]> {
+    let d = |a: [f32; 2], b: [f32; 2]| {
+        [
+            f64::from(b[0]) - f64::from(a[0]),
+            f64::from(b[1]) - f64::from(a[1]),
+        ]
+    };
+    let area = |u: [f64; 2], v: [f64; 2]| u[0] * v[1] - u[1] * v[0];
+    let whole = area(d(c[0], c[1]), d(c[0], c[2]));
+    if whole == 0.0 {
+        return None;
+    }
+    let w: [f64; 3] = std::array::from_fn(|k| area(d(p, c[(k + 1) % 3]), d(p, c[(k + 2) % 3])) / whole);
+    // A node on an edge belongs to both triangles.
+    w.iter().all(|&w| w >= -1e-9).then(|| w.map(|w| w as f32))
 }

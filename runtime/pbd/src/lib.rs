@@ -23,10 +23,11 @@ mod scene;
 mod settings;
 mod skinned;
 mod solver;
+mod unload;
 
 pub use body::{RawBody, SoftBody};
 pub use collider::{Collider, Convex, Shape, SignedDistanceGrid};
-pub use cradle::{CradleParams, clearance_mm, cradle};
+pub use cradle::{CradleParams, clearance_mm, cradle, cradle_of_body};
 pub use error::PbdError;
 pub use gpu::{GpuOptions, GpuSolver, SkinId, Watch};
 pub use mesh::TriangleMesh;
@@ -36,3 +37,4 @@ pub use scene::Scene;
 pub use settings::{Averaging, DragForm, Group, NetMomentum, Settings, ShapeMatching};
 pub use skinned::SkinnedPoints;
 pub use solver::{BodyInfo, ClampCounts, ClusterFrame, ContactReport, Solver, SolverState, Timings};
+pub use unload::{UnloadParams, Unloaded, unload};

@@ -1,4 +1,4 @@
-use crate::{ClusterFrame, PbdError};
+use crate::{ClusterFrame, PbdError, Pose};
 use glam::{Quat, Vec3};
 use palpate_package::{ModelPackage, Skin};
 use rayon::prelude::*;
@@ -112,6 +112,19 @@ impl SkinnedPoints {
     pub fn of_embedding(package: &ModelPackage) -> Result<Self, PbdError> {
         let e = &package.embedding;
         Self::new(&e.vertices, &e.skin, &package.clusters.rest_centres)
+    }
+
+    /// Ties the points anew so that these frames of one body hold them at their rest places, `placement` being the body's:
+    /// for clusters whose rest shape is not the one that the points were given in (see [`crate::unload`]).
+    pub fn tie_to(&mut self, frames: &[ClusterFrame], placement: Pose) {
+        for t in &mut self.points {
+            let at = placement.apply(t.rest);
+            for k in 0..4 {
+                if let Some(f) = frames.get(t.clusters[k] as usize) {
+                    t.local[k] = f.quat().inverse() * (at - f.mean());
+                }
+            }
+        }
     }
 
     /// Number of points.

@@ -2,8 +2,8 @@
 
 use glam::{Quat, Vec3};
 use palpate_pbd::{
-    Collider, CradleParams, Pose, RawBody, Scene, Settings, Shape, SignedDistanceGrid, SoftBody, Solver,
-    TriangleMesh, cradle,
+    Collider, CradleParams, Pose, RawBody, Scene, Settings, Shape, SignedDistanceGrid, SkinnedPoints,
+    SoftBody, Solver, TriangleMesh, UnloadParams, cradle, unload,
 };
 
 /// Lattice block of nx × ny × nz particles 2 mm apart, in overlapping clusters of radius 6.66 mm.
@@ -674,5 +674,126 @@ fn cradle_is_closed_keeps_its_clearance_and_opens_upward() {
             .iter()
             .map(|&v| grid.distance(Vec3::from(v) - down.normalize() * 5.0));
         assert!(lifted.fold(f32::MAX, f32::min) > least);
+    }
+}
+
+#[test]
+fn unloaded_shapes_sag_into_the_scan() {
+    let colliders = || vec![Collider::plane("table", Vec3::NEG_Y * 1.5, Vec3::Y)];
+    let turn = Pose::new(Quat::from_rotation_y(0.4), Vec3::new(5.0, 0.0, -3.0));
+    let made = || vec![block([14, 10, 14], 0.3).placed(turn)];
+    let settings = Settings::default();
+    let mut bodies = made();
+    let params = UnloadParams::default();
+    let found = unload(&mut bodies, &colliders(), &settings, &params, 2).unwrap();
+    assert!(found.sag_mm[0] > 0.3, "nothing sagged: {found:?}");
+    assert!(
+        found.left_mm[0] < 0.15 * found.sag_mm[0],
+        "{:?} {:?}",
+        found.sag_mm,
+        found.left_mm
+    );
+
+    // A solver of its own agrees, and points that are tied to the frames stay where the scan has them.
+    let rest: Vec<[f32; 3]> = bodies[0].rest_positions().to_vec();
+    let sag = |bodies: Vec<SoftBody>| {
+        let mut s = Solver::new(Scene::new(bodies, colliders()), settings.clone()).unwrap();
+        (0..params.steps).for_each(|_| s.step());
+        let off = s
+            .positions()
+            .iter()
+            .zip(&rest)
+            .map(|(&a, &b)| f64::from((Vec3::from(a) - turn.apply(b.into())).length()));
+        (off.sum::<f64>() / rest.len() as f64, s.frames().to_vec())
+    };
+    let (plain, _) = sag(made());
+    let (left, frames) = sag(bodies);
+    assert!((plain - found.sag_mm[0]).abs() < 1e-6, "{plain} {found:?}");
+    assert!(left < 0.15 * plain, "{left} {plain}");
+    let skin = palpate_package::Skin {
+        indices: vec![[0, 1, 2, 3]],
+        weights: vec![[0.4, 0.3, 0.2, 0.1]],
+    };
+    let mut points = SkinnedPoints::new(&[[3.0, 4.0, 5.0]], &skin, &[[0.0; 3]; 4]).unwrap();
+    points.tie_to(&frames, turn);
+    let mut at = [[0f32; 3]];
+    points.positions(&frames, &mut at);
+    assert!(turn.apply(Vec3::new(3.0, 4.0, 5.0)).distance(at[0].into()) < 1e-4);
+}
+
+#[test]
+fn a_body_that_nothing_holds_keeps_its_shape() {
+    let mut bodies = vec![block([4, 4, 4], 0.5)];
+    let found = unload(
+        &mut bodies,
+        &[],
+        &Settings::default(),
+        &UnloadParams::default(),
+        1,
+    )
+    .unwrap();
+    assert!(found.rounds <= 1, "{found:?}");
+    let mut s = Solver::new(Scene::new(bodies, Vec::new()), floating()).unwrap();
+    let before = s.positions().to_vec();
+    (0..5).for_each(|_| s.step());
+    let most = s
+        .positions()
+        .iter()
+        .zip(&before)
+        .map(|(&a, &b)| Vec3::from(a).distance(b.into()))
+        .fold(0.0, f32::max);
+    assert!(most < 1e-3, "{most}");
+}
+
+#[test]
+fn a_body_starts_at_rest_in_its_cradle() {
+    // A bar on two levels: the right half hangs 12 mm higher and is held as well; no particle is pushed at the start.
+    let mut raw = RawBody {
+        spacing_mm: 2.0,
+        mass_g: 8.4e-3,
+        ..RawBody::default()
+    };
+    for i in 0..20i32 {
+        for j in 0..5i32 {
+            for k in 0..5i32 {
+                let step = if i < 10 { 0.0 } else { 12.0 };
+                raw.positions
+                    .push([2.0 * i as f32, 2.0 * j as f32 + step, 2.0 * k as f32]);
+            }
+        }
+    }
+    raw.clusters = vec![(0..raw.positions.len() as u32).collect()];
+    let mut low = TriangleMesh::cuboid(Vec3::new(10.0, 5.0, 5.0));
+    let mut high = low.clone();
+    low.vertices
+        .iter_mut()
+        .for_each(|v| *v = [v[0] + 9.0, v[1] + 4.0, v[2] + 4.0]);
+    high.vertices
+        .iter_mut()
+        .for_each(|v| *v = [v[0] + 29.0, v[1] + 16.0, v[2] + 4.0]);
+    let base = low.vertices.len() as u32;
+    low.triangles
+        .extend(high.triangles.iter().map(|t| t.map(|v| v + base)));
+    low.vertices.extend(&high.vertices);
+    let params = CradleParams {
+        cell_mm: 2.0,
+        ..CradleParams::default()
+    };
+    let bed = palpate_pbd::cradle_of_body(&low, &raw.positions, 1.0, Vec3::NEG_Y, &params).unwrap();
+    assert!(bed.is_closed());
+    let grid = SignedDistanceGrid::from_mesh(&bed, 0.5, 3.0).unwrap();
+    let gap = |i: i32| {
+        let mut least = f32::MAX;
+        for p in raw
+            .positions
+            .iter()
+            .filter(|p| (p[0] - 2.0 * i as f32).abs() < 1e-3)
+        {
+            least = least.min(grid.distance((*p).into()));
+        }
+        least
+    };
+    for i in [1, 3, 5, 13, 15, 17] {
+        assert!((0.9..1.4).contains(&gap(i)), "column {i}: {} mm", gap(i));
     }
 }

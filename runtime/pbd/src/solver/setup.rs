@@ -162,9 +162,10 @@ impl Core {
         }
         self.given.extend(given.iter().map(|g| (first + g) as u32));
         let place = |x: &[f32; 3]| Vec3A::from(body.placement.apply(Vec3::from(*x)));
+        let start = body.start.as_ref().unwrap_or(&body.positions);
         let inverse = 1.0 / body.mass_g;
         for &g in &given {
-            p.x.push(place(&body.positions[g]));
+            p.x.push(place(&start[g]));
             p.rest.push(body.positions[g].into());
             p.inverse_mass.push(if body.pinned[g] { 0.0 } else { inverse });
             p.area_mm2.push(body.area_mm2[g]);

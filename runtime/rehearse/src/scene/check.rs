@@ -36,6 +36,9 @@ impl SceneSource {
             1e6,
             "0 to 1000000 mm/s²",
         )?;
+        let c = s.cradle;
+        self.number("cradle.height_share", c.height_share, 0.01, 1.0, "0.01 to 1")?;
+        self.number("cradle.gap_mm", c.gap_mm, 0.0, 50.0, "0 to 50 mm")?;
         self.number("stiffness.organ", s.stiffness.organ, 0.0, 1.0, "0 to 1")?;
         self.number("stiffness.structures", s.stiffness.structures, 0.0, 1.0, "0 to 1")?;
         for (name, &alpha) in &s.stiffness.named {
@@ -328,11 +331,11 @@ impl SceneSource {
             let over = &tool.pose.over;
             let fits = |n: &String| match n.as_str() {
                 "peak" | "centre" => true,
-                "structure" => !structures.is_empty(),
+                "structure" | "rim" => !structures.is_empty(),
                 name => structures.contains(&name),
             };
             if tool.pose.position_mm.is_none() && !over.iter().any(fits) {
-                let mut known = vec!["peak", "centre", "structure"];
+                let mut known = vec!["peak", "centre", "structure", "rim"];
                 known.extend(&structures);
                 return Err(self.fault(
                     &format!("instrument[{i}].pose.over"),

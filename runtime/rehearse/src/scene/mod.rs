@@ -30,9 +30,11 @@ pub struct Scene {
     pub format: u32,
     /// Title in the summary.
     pub name: String,
-    /// What the first package's organ lies on: `cradle` (moulded to the organ), `plane`, `none`, `package` (all its support
-    /// bodies), the name of one of them, or an STL file (patient RAS mm) beside the scene.
+    /// What the organs lie on: `cradle` (moulded to all of them), `plane` (below the first), `none`, `package` (all support
+    /// bodies of the first), the name of one of them, or an STL file (patient RAS mm) beside the scene.
     pub support: String,
+    /// Form of a `cradle` support.
+    pub cradle: Cradle,
     /// Steps of a scene that neither presses nor moves anything.
     pub steps: u32,
     /// Weight.
@@ -67,6 +69,7 @@ impl Default for Scene {
             format: FORMAT,
             name: "rehearsal".into(),
             support: "cradle".into(),
+            cradle: Cradle::default(),
             steps: 120,
             gravity: Gravity::default(),
             press: None,
@@ -111,6 +114,26 @@ impl PackageEntry {
     }
 }
 
+/// A support moulded to the lower side of the organs as the scan has them, open at the top.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Cradle {
+    /// Part of the height, from the lowest point, up to which it holds. 1: every column's lower side, up to the outline, as
+    /// the fat and the neighbours below an organ do. The paper's plasticine: about a third.
+    pub height_share: f64,
+    /// Gap between the organ and the mould, mm. 0: they touch, and the organ starts at rest in its bed.
+    pub gap_mm: f64,
+}
+
+impl Default for Cradle {
+    fn default() -> Self {
+        Self {
+            height_share: 1.0,
+            gap_mm: 0.0,
+        }
+    }
+}
+
 /// Weight of everything.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -119,6 +142,10 @@ pub struct Gravity {
     pub direction: Direction,
     /// mm/s². Table 1 of the paper: 9.81 m/s².
     pub acceleration_mm_s2: f64,
+    /// Whether the scan shows the organ sagged under this weight already, as it does for a patient scanned in the position of
+    /// the operation. Then rest shapes are found that sag into the scan's, and the organ stays in a `cradle` where the
+    /// scan has it; otherwise the scan's shape is the one without weight, as in the paper, and the organ sags from it.
+    pub balanced_in_scan: bool,
 }
 
 impl Default for Gravity {
@@ -126,6 +153,7 @@ impl Default for Gravity {
         Self {
             direction: Direction::POSTERIOR,
             acceleration_mm_s2: 9810.0,
+            balanced_in_scan: true,
         }
     }
 }
@@ -222,9 +250,10 @@ pub struct StartPose {
     /// On this side of the organ; the axis points the other way.
     pub above: Direction,
     /// Over what, the first that the package has: `peak` (the organ's farthest point on that side), `centre` (of the organ),
-    /// `structure` (the largest structure's centre) or a structure's name.
+    /// `structure` (the largest structure's centre), `rim` (where that structure ends towards the rest of the organ; the
+    /// image then runs across the border) or a structure's name.
     pub over: Vec<String>,
-    /// Where the image's x axis points; absent: the organ's longest extent across the axis.
+    /// Where the image's x axis points; absent: across the border for `rim`, else the organ's longest extent across the axis.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lateral: Option<Direction>,
     /// Shift across the axis, along the instrument's x and y, mm.

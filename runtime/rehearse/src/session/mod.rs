@@ -22,7 +22,7 @@ use glam::{DVec3, Vec3};
 use imaging::Imaging;
 use organ::Organ;
 use palpate_gpu::Gpu;
-use palpate_pbd::{Collider, Pose, SoftBody, Solver, TriangleMesh};
+use palpate_pbd::{Collider, Pose, SoftBody, Solver};
 use std::time::Instant;
 use tool::{Form, Target, first_contact, solver_pose, start_pose};
 
@@ -106,22 +106,20 @@ impl Session {
             clusters: bodies.iter().map(SoftBody::cluster_count).sum(),
             memberships: bodies.iter().map(SoftBody::membership_count).sum(),
         };
-        let lead = &organs[0];
         let contact_mm = load::particle_depth_mm(&first.model);
-        let surface = TriangleMesh {
-            vertices: lead.surface.mesh.vertices.clone(),
-            triangles: lead.surface.mesh.triangles.clone(),
-        };
-        let mut supports = support::supports(
-            &scene,
-            first,
-            &bodies[0],
-            lead.placement,
-            &surface,
-            contact_mm,
-            origin,
-        )?;
+        let mut supports = support::supports(&scene, first, &organs, &bodies, contact_mm, origin)?;
         let mut warnings = load::cautions(first);
+        warnings.extend(support::balance(
+            &scene,
+            &mut organs,
+            &mut bodies,
+            &supports.colliders,
+            match device {
+                Device::Cpu { threads } => *threads,
+                Device::Gpu(_) => 0,
+            },
+        )?);
+        let lead = &organs[0];
         let tools = tools(
             &scene,
             lead,

@@ -5,7 +5,7 @@ use crate::render::{Mesh, vertex_normals};
 use crate::scene::{FiducialChoice, PackageEntry, Stiffness};
 use glam::{DVec3, Vec3};
 use palpate_package::{ModelPackage, Skin, Surface};
-use palpate_pbd::{Pose, SkinnedPoints, SoftBody, Solver};
+use palpate_pbd::{ClusterFrame, Pose, SkinnedPoints, SoftBody, Solver};
 use palpate_skinning::{SkinParams, bind};
 
 /// A surface that follows the solver.
@@ -141,6 +141,19 @@ impl Organ {
         }
         self.local_embedding();
         Ok(())
+    }
+
+    /// Holds everything that follows at its rest place while the body's clusters have these frames.
+    pub(super) fn tie_to(&mut self, frames: &[ClusterFrame]) {
+        let placement = Pose::new(
+            super::tool::solver_pose(self.placement).rotation,
+            self.placement.position.as_vec3(),
+        );
+        for s in self.meshes_mut() {
+            s.skin.tie_to(frames, placement);
+        }
+        self.embedding.skin.tie_to(frames, placement);
+        self.fiducials.skin.tie_to(frames, placement);
     }
 
     /// The surface, then the structures.

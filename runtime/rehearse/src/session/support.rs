@@ -1,60 +1,42 @@
 use super::Loaded;
+use super::organ::Organ;
 use crate::RehearseError;
-use crate::motion::RigidPose;
 use crate::render::{Mesh, vertex_normals};
 use crate::scene::Scene;
 use glam::{DVec3, Vec3};
 use palpate_package::Surface;
 use palpate_pbd::{
-    Collider, CradleParams, Pose, Settings, Shape, SoftBody, TriangleMesh, clearance_mm, cradle,
+    Collider, CradleParams, Pose, Shape, SoftBody, TriangleMesh, UnloadParams, cradle_of_body, unload,
 };
 use std::io::BufReader;
 use std::path::Path;
 
-/// What the first organ lies on: colliders, and what is drawn of them. World mm.
+/// What the organs lie on: colliders, and what is drawn of them. World mm.
 #[derive(Default)]
 pub(super) struct Supports {
     pub(super) colliders: Vec<Collider>,
     pub(super) meshes: Vec<Mesh>,
 }
 
-/// Makes the support of a scene. `surface` is the first organ as it is placed, `contact_mm` the distance that colliders keep
-/// to particles.
+/// Makes the support of a scene. `organs` and `bodies` are those of all packages as they are placed, `contact_mm` the
+/// distance that colliders keep to particles.
 pub(super) fn supports(
     scene: &Scene,
     loaded: &Loaded,
-    body: &SoftBody,
-    placement: RigidPose,
-    surface: &TriangleMesh,
+    organs: &[Organ],
+    bodies: &[SoftBody],
     contact_mm: f64,
     origin: DVec3,
 ) -> Result<Supports, RehearseError> {
     let down = scene.gravity.direction.unit().as_vec3();
     let mut out = Supports::default();
+    let Some(lead) = organs.first() else {
+        return Ok(out);
+    };
     match scene.support.as_str() {
         "none" => {}
-        "plane" => out.plane(surface, down),
-        "cradle" => {
-            let rest = TriangleMesh {
-                vertices: loaded
-                    .model
-                    .organ()
-                    .map(|s| s.vertices.clone())
-                    .unwrap_or_default(),
-                triangles: surface.triangles.clone(),
-            };
-            // The particles' own distance to the mould is what the colliders keep.
-            let settings = Settings {
-                collision_distance_factor: contact_mm / body.spacing_mm(),
-                ..scene.solver.clone()
-            };
-            let params = CradleParams {
-                clearance_mm: clearance_mm(body, &rest, &settings)?,
-                cell_mm: body.spacing_mm(),
-                ..CradleParams::default()
-            };
-            out.mesh("cradle", cradle(surface, down, &params)?);
-        }
+        "plane" => out.plane(&lead.surface.mesh.vertices, down),
+        "cradle" => out.mesh("cradle", bed(scene, organs, bodies, contact_mm, down)?),
         name => {
             let bodies: Vec<&Surface> = loaded
                 .model
@@ -65,7 +47,12 @@ pub(super) fn supports(
                 let placed = s
                     .vertices
                     .iter()
-                    .map(|&v| placement.apply(Vec3::from(v).as_dvec3()).as_vec3().to_array())
+                    .map(|&v| {
+                        lead.placement
+                            .apply(Vec3::from(v).as_dvec3())
+                            .as_vec3()
+                            .to_array()
+                    })
                     .collect();
                 out.mesh(
                     &s.name,
@@ -86,6 +73,72 @@ pub(super) fn supports(
     Ok(out)
 }
 
+/// One mould for all organs: each lies in its own bed, and one above another lies on that one.
+fn bed(
+    scene: &Scene,
+    organs: &[Organ],
+    bodies: &[SoftBody],
+    contact_mm: f64,
+    down: Vec3,
+) -> Result<TriangleMesh, RehearseError> {
+    let mut surface = TriangleMesh::default();
+    for o in organs {
+        let base = surface.vertices.len() as u32;
+        surface.vertices.extend(&o.surface.mesh.vertices);
+        let shifted = o.surface.mesh.triangles.iter().map(|t| t.map(|v| v + base));
+        surface.triangles.extend(shifted);
+    }
+    let particles: Vec<[f32; 3]> = bodies
+        .iter()
+        .flat_map(|b| {
+            let placed = |p: &[f32; 3]| b.placement().apply(Vec3::from(*p)).to_array();
+            b.rest_positions().iter().map(placed)
+        })
+        .collect();
+    let spacing = bodies
+        .iter()
+        .map(SoftBody::spacing_mm)
+        .fold(f64::INFINITY, f64::min);
+    let params = CradleParams {
+        clearance_mm: scene.cradle.gap_mm,
+        height_fraction: scene.cradle.height_share,
+        cell_mm: spacing,
+        ..CradleParams::default()
+    };
+    let keep_mm = contact_mm + scene.cradle.gap_mm;
+    Ok(cradle_of_body(&surface, &particles, keep_mm, down, &params)?)
+}
+
+/// Gives the organs rest shapes that sag into the scan's, where the scene says that the scan shows them under their
+/// weight. Says so where they still sag.
+pub(super) fn balance(
+    scene: &Scene,
+    organs: &mut [Organ],
+    bodies: &mut [SoftBody],
+    colliders: &[Collider],
+    threads: usize,
+) -> Result<Option<String>, RehearseError> {
+    // Nothing else holds organs where the scan has them.
+    if scene.support != "cradle" || !scene.gravity.balanced_in_scan {
+        return Ok(None);
+    }
+    let settings = palpate_pbd::Settings {
+        gravity_mm_s2: scene.gravity.vector_mm_s2(),
+        ..scene.solver.clone()
+    };
+    let found = unload(bodies, colliders, &settings, &UnloadParams::default(), threads)?;
+    for (organ, frames) in organs.iter_mut().zip(&found.frames) {
+        organ.tie_to(frames);
+    }
+    let [mean, most] = found.left_mm;
+    Ok((mean > 0.5).then(|| {
+        format!(
+            "The organ sags by {mean:.1} mm (at most {most:.1} mm) from where the scan has it: no rest shape was found that \
+             its bed holds in place."
+        )
+    }))
+}
+
 impl Supports {
     fn mesh(&mut self, name: &str, mesh: TriangleMesh) {
         self.meshes.push(Mesh {
@@ -97,11 +150,11 @@ impl Supports {
             .push(Collider::fixed(name, Shape::Mesh(mesh), Pose::IDENTITY));
     }
 
-    /// A plane that the surface's lowest point touches; a slab around it is drawn.
-    fn plane(&mut self, surface: &TriangleMesh, down: Vec3) {
+    /// A plane that the lowest vertex touches; a slab around it is drawn.
+    fn plane(&mut self, vertices: &[[f32; 3]], down: Vec3) {
         let (u, v) = down.any_orthonormal_pair();
         let (mut lo, mut hi) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
-        for &p in &surface.vertices {
+        for &p in vertices {
             let p = Vec3::from(p);
             let q = Vec3::new(p.dot(u), p.dot(v), p.dot(down));
             lo = lo.min(q);

@@ -119,9 +119,11 @@ pub(super) struct Target<'a> {
 /// The pose of the front's middle at the start. `origin` is the world's zero point in patient mm.
 pub(super) fn start_pose(pose: &StartPose, form: &Form, target: &Target, origin: DVec3) -> RigidPose {
     let axis = -pose.above.unit();
+    let (aimed, along) = aim_point(pose, target);
     let lateral = pose
         .lateral
         .map(|d| d.unit())
+        .or(along)
         .and_then(|v| (v - axis * v.dot(axis)).try_normalize())
         .unwrap_or_else(|| longest_across(target.vertices, axis));
     let upright = DQuat::from_mat3(&DMat3::from_cols(lateral, axis.cross(lateral), axis));
@@ -133,7 +135,7 @@ pub(super) fn start_pose(pose: &StartPose, form: &Form, target: &Target, origin:
         };
     }
     let aim = RigidPose {
-        position: aim_point(pose, target),
+        position: aimed,
         rotation: turned,
     };
     let aim = RigidPose {
@@ -175,39 +177,71 @@ pub(super) fn first_contact(form: &Form, pose: RigidPose, target: &Target) -> Op
     way.is_finite().then_some(way)
 }
 
-fn aim_point(pose: &StartPose, target: &Target) -> DVec3 {
-    let middle = |v: &[[f32; 3]]| {
-        let (mut lo, mut hi) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-        for &p in v {
-            let p = Vec3::from(p).as_dvec3();
-            lo = lo.min(p);
-            hi = hi.max(p);
-        }
-        0.5 * (lo + hi)
-    };
+/// The point to aim at, and where the image's x axis should point for what is there to be seen.
+fn aim_point(pose: &StartPose, target: &Target) -> (DVec3, Option<DVec3>) {
+    let up = pose.above.unit();
     for name in &pose.over {
         let found = match name.as_str() {
-            "peak" => {
-                let up = pose.above.unit();
-                target
-                    .vertices
-                    .iter()
-                    .map(|&p| Vec3::from(p).as_dvec3())
-                    .max_by(|a, b| a.dot(up).total_cmp(&b.dot(up)))
-            }
-            "centre" => Some(middle(target.vertices)),
-            "structure" => target.structures.first().map(|s| middle(&s.1)),
+            "peak" => target
+                .vertices
+                .iter()
+                .map(|&p| Vec3::from(p).as_dvec3())
+                .max_by(|a, b| a.dot(up).total_cmp(&b.dot(up)))
+                .map(|p| (p, None)),
+            "centre" => Some((middle(target.vertices), None)),
+            "rim" => target.structures.first().map(|s| {
+                let (p, d) = rim(&s.1, target, up);
+                (p, Some(d))
+            }),
+            "structure" => target.structures.first().map(|s| (middle(&s.1), None)),
             name => target
                 .structures
                 .iter()
                 .find(|s| s.0 == name)
-                .map(|s| middle(&s.1)),
+                .map(|s| (middle(&s.1), None)),
         };
         if let Some(p) = found {
             return p;
         }
     }
-    middle(target.vertices)
+    (middle(target.vertices), None)
+}
+
+/// Middle of the bounding box.
+fn middle(v: &[[f32; 3]]) -> DVec3 {
+    let (mut lo, mut hi) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+    for &p in v {
+        let p = Vec3::from(p).as_dvec3();
+        lo = lo.min(p);
+        hi = hi.max(p);
+    }
+    0.5 * (lo + hi)
+}
+
+/// Where a structure ends towards the bulk of the rest of the organ, and the direction there, seen along `up`: an image
+/// along it shows the structure at one side and the organ at the other.
+fn rim(structure: &[[f32; 3]], target: &Target, up: DVec3) -> (DVec3, DVec3) {
+    let centre = middle(structure);
+    let flat = |v: DVec3| v - up * v.dot(up);
+    let (u, v) = up.any_orthonormal_pair();
+    // Most of the organ's surface lies in this sector beyond the structure's own extent.
+    let wide = |p: &[f32; 3]| flat(Vec3::from(*p).as_dvec3() - centre);
+    let mut best = (0usize, u, 0.0);
+    for k in 0..16 {
+        let angle = std::f64::consts::TAU * f64::from(k) / 16.0;
+        let d = u * angle.cos() + v * angle.sin();
+        let reach = structure.iter().map(|p| wide(p).dot(d)).fold(0.0, f64::max);
+        let beyond = |p: &&[f32; 3]| {
+            let w = wide(p);
+            let along = w.dot(d);
+            along > reach + 5.0 && along > 0.92 * w.length()
+        };
+        let count = target.vertices.iter().filter(beyond).count();
+        if count > best.0 || k == 0 {
+            best = (count, d, reach);
+        }
+    }
+    (centre + best.1 * best.2, best.1)
 }
 
 /// The direction across `axis` in which the points spread most. Its largest part points to the left, back or feet, as
@@ -299,6 +333,40 @@ mod tests {
         ]);
         let sharp = over_a_ball(&tip, [0.0; 2]);
         assert!((sharp.position.y - 17.0).abs() < 0.05, "{sharp:?}");
+    }
+
+    #[test]
+    fn the_rim_lies_between_structure_and_organ() {
+        // A ball of 8 mm near the -z end of a long body.
+        let organ = capsule(Vec3::ZERO, Vec3::Z, 40.0, 15.0, 60);
+        let tumour = ball(Vec3::new(0.0, 2.0, -40.0), 8.0, 40);
+        let structures = [("tumour".to_string(), tumour.vertices)];
+        let target = Target {
+            vertices: &organ.vertices,
+            triangles: &organ.triangles,
+            structures: &structures,
+        };
+        let pose = StartPose {
+            over: vec!["rim".into(), "peak".into()],
+            ..StartPose::default()
+        };
+        let at = start_pose(
+            &pose,
+            &Form::Cuboid(DVec3::new(20.0, 10.0, 20.0)),
+            &target,
+            DVec3::ZERO,
+        );
+        assert!(
+            (at.position - DVec3::new(0.0, 15.0, -32.0)).length() < 1.0,
+            "{at:?}"
+        );
+        assert!((at.rotation * DVec3::X - DVec3::Z).length() < 1e-6, "{at:?}");
+        let none = Target {
+            structures: &[],
+            ..target
+        };
+        let peak = start_pose(&pose, &Form::Sphere(5.0), &none, DVec3::ZERO);
+        assert!((peak.position.y - 15.0).abs() < 0.1);
     }
 
     #[test]
