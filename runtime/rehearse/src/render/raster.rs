@@ -127,6 +127,15 @@ pub fn draw_view(view: &View3d, camera: &Camera, out: &mut Picture, left: usize)
         }
     }
     let materials: Vec<Material> = items.iter().map(|(i, _)| i.material).collect();
+    // Samples of one group are shaded alike within a pixel; each triangle of a sharp body is its own.
+    let groups: Vec<u32> = tris
+        .iter()
+        .enumerate()
+        .map(|(n, t)| match materials[t.item as usize].sharp {
+            true => (items.len() + n) as u32,
+            false => t.item,
+        })
+        .collect();
     let layers = 1 + view.veils.len();
     let stride = out.width * 3;
     out.pixels
@@ -148,7 +157,7 @@ pub fn draw_view(view: &View3d, camera: &Camera, out: &mut Picture, left: usize)
                 let t = (band.first + r) as f32 / (height.max(2) - 1) as f32;
                 let ground = mix(view.ground[0], view.ground[1], t);
                 let line = &mut rows[r * stride + left * 3..r * stride + (left + width) * 3];
-                resolve(r, ground, &band, &samples, &tris, &materials, line);
+                resolve(r, ground, &band, &samples, &tris, &groups, &materials, line);
             }
         });
 }
@@ -304,6 +313,7 @@ fn resolve(
     band: &Band,
     samples: &Samples,
     tris: &[Tri],
+    groups: &[u32],
     materials: &[Material],
     line: &mut [u8],
 ) {
@@ -311,6 +321,7 @@ fn resolve(
     let y = (band.first + row) as f32 + 0.5;
     let shown = |c: f32| (c.clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
     let empty = ground.map(shown);
+    let group = |id: u32| groups.get(id as usize).copied().unwrap_or(NOTHING);
     for (x, pixel) in line.chunks_exact_mut(3).enumerate() {
         let place = |layer: usize, s: usize| {
             layer * samples.per_layer + (row * two + s / two) * samples.across + x * two + s % two
@@ -318,14 +329,15 @@ fn resolve(
         let mut any = false;
         let mut alike = true;
         for layer in 0..band.layers {
-            let id = samples.tri[place(layer, 0)];
-            let group = group_of(id, tris, materials);
-            any |= id != NOTHING;
-            for s in 1..4 {
-                let other = samples.tri[place(layer, s)];
-                any |= other != NOTHING;
-                alike &= other == id || group_of(other, tris, materials) == group;
+            let at = place(layer, 0);
+            let (upper, lower) = (&samples.tri[at..at + 2], &samples.tri[at + samples.across..]);
+            let ids = [upper[0], upper[1], lower[0], lower[1]];
+            if ids == [NOTHING; 4] {
+                continue;
             }
+            any = true;
+            // One triangle in most pixels; only at its border the group is asked for.
+            alike &= ids == [ids[0]; 4] || ids[1..].iter().all(|&id| group(id) == group(ids[0]));
         }
         if !any {
             pixel.copy_from_slice(&empty);
@@ -343,15 +355,6 @@ fn resolve(
         for k in 0..3 {
             pixel[k] = shown(sum[k] / count as f32);
         }
-    }
-}
-
-/// Samples of one group are shaded alike within a pixel.
-fn group_of(id: u32, tris: &[Tri], materials: &[Material]) -> u64 {
-    match tris.get(id as usize) {
-        None => u64::MAX,
-        Some(t) if materials[t.item as usize].sharp => u64::from(id),
-        Some(t) => 1 << 32 | u64::from(t.item),
     }
 }
 
