@@ -310,12 +310,18 @@ impl Pack {
                 let volume = self.volume.to_array()[lane];
                 let g: [DVec3; 3] =
                     std::array::from_fn(|c| DVec3::from_array(self.g[c].map(|v| v.to_array()[lane])));
-                let g = [-(g[0] + g[1] + g[2]), g[0], g[1], g[2]];
-                for i in 0..4 {
+                let blocks = &mut extra.blocks[first + lane];
+                for i in 1..4 {
                     for j in i..4 {
-                        extra.blocks[first + lane][block_index(i, j)] = tangent.block(g[i], g[j]) * volume;
+                        blocks[block_index(i, j)] = tangent.block(g[i - 1], g[j - 1]) * volume;
                     }
                 }
+                // Gradients sum to zero, and so do the blocks of a row.
+                let [_, _, _, _, b11, b12, b13, b22, b23, b33] = *blocks;
+                blocks[1] = -(b11 + b12.transpose() + b13.transpose());
+                blocks[2] = -(b12 + b22 + b23.transpose());
+                blocks[3] = -(b13 + b23 + b33);
+                blocks[0] = -(blocks[1] + blocks[2] + blocks[3]);
                 extra.last_f[first + lane] = one;
             }
         }
