@@ -223,10 +223,39 @@ fn hu_at(index: vec3<f32>) -> f32 {
     return sheet[0] + w.z * (sheet[1] - sheet[0]);
 }
 
-// The nearest voxel's, clamped to the grid.
+// The label with the most trilinear weight, clamped to the grid; of equals that of the lowest corner.
 fn label_at(index: vec3<f32>) -> u32 {
-    let n = min(vec3<u32>(max(index + 0.5, vec3<f32>(0.0))), view.dims - vec3<u32>(1u));
-    return label_of(voxel_at(n));
+    let last = view.dims - vec3<u32>(1u);
+    let v = clamp(index, vec3<f32>(0.0), vec3<f32>(last));
+    let lower = min(vec3<u32>(v), last);
+    let w = v - vec3<f32>(lower);
+    let upper = min(lower + vec3<u32>(1u), last);
+    var label = array<u32, 8>();
+    var weight = array<f32, 8>();
+    var mixed = false;
+    for (var c = 0u; c < 8u; c++) {
+        let one = vec3<bool>((c & 1u) != 0u, (c & 2u) != 0u, (c & 4u) != 0u);
+        label[c] = label_of(voxel_at(select(lower, upper, one)));
+        let share = select(vec3<f32>(1.0) - w, w, one);
+        weight[c] = share.x * share.y * share.z;
+        mixed = mixed || label[c] != label[0];
+    }
+    if !mixed {
+        return label[0];
+    }
+    var best = label[0];
+    var most = -1.0;
+    for (var c = 0u; c < 8u; c++) {
+        var sum = 0.0;
+        for (var d = 0u; d < 8u; d++) {
+            sum += select(0.0, weight[d], label[d] == label[c]);
+        }
+        if sum > most {
+            best = label[c];
+            most = sum;
+        }
+    }
+    return best;
 }
 
 // Whether any of the eight voxels around an index belongs to the organ.

@@ -4,11 +4,11 @@
 use crate::coverage::{self, NONE};
 use crate::cut::{Cut, Polygon, Ray};
 use crate::lateral::Lateral;
-use crate::organ::Organ;
+use crate::organ::{Organ, Volume};
 use crate::properties::{Classes, Properties, of_tissue};
 use crate::rays::{Neighbours, RayModel};
 use crate::scan_conversion::ScanConversion;
-use crate::slice::Scene;
+use crate::slice::{self, Scene};
 use crate::speckle::{self, filter, filtered_power, gaussian, rest_of};
 use crate::vector::{add, apply, apply_linear, scale, sub};
 use crate::{Background, Level, PixelGrid, Probe, ProbePose, Settings, Source, TissueTable, UltrasoundError};
@@ -32,6 +32,8 @@ pub(crate) struct Beams {
     lateral: Lateral,
     conversion: ScanConversion,
     pub(crate) cuts: Vec<Cut>,
+    /// Per plane, per polygon: between which scan lines it lies.
+    reach: Vec<Vec<[f32; 2]>>,
     /// Per line, per plane, per sample.
     polygon: Vec<u32>,
     source: Vec<u8>,
@@ -119,6 +121,7 @@ impl Beams {
             lateral,
             conversion: ScanConversion::new(probe, grid, samples, step_mm),
             cuts: vec![Cut::default(); probe.planes],
+            reach: vec![Vec::new(); probe.planes],
             polygon: vec![NONE; n * probe.planes],
             source: vec![0; n],
             properties: vec![[0.0; 4]; n],
@@ -161,8 +164,12 @@ impl Beams {
     ) {
         self.cuts
             .par_iter_mut()
+            .zip(&mut self.reach)
             .zip(&self.planes)
-            .for_each(|(cut, &(offset, ..))| cut.update(scene.organs, deformed, &pose.shifted(offset)));
+            .for_each(|((cut, reach), &(offset, ..))| {
+                cut.update(scene.organs, deformed, &pose.shifted(offset));
+                coverage::lines(cut, probe, reach);
+            });
         self.sample(scene, probe, pose);
         self.propagate(probe);
         let scatter = 10f64.powf(self.model.settings.scatter_db / 20.0) as f32;
@@ -178,7 +185,8 @@ impl Beams {
         } else {
             let (properties, amplitude, interface) = (&self.properties, &self.amplitude, &self.interface);
             self.envelope.par_iter_mut().enumerate().for_each(|(n, out)| {
-                *out = (scatter * properties[n][3] * amplitude[n]).hypot(interface[n]);
+                let s = scatter * properties[n][3] * amplitude[n];
+                *out = (s * s + interface[n] * interface[n]).sqrt();
             });
         }
         let s = &self.model.settings;
@@ -201,8 +209,8 @@ impl Beams {
     fn sample(&mut self, scene: &Scene, probe: &Probe, pose: &ProbePose) {
         let m = self.samples;
         let middle = self.planes.len() / 2;
-        let (planes, cuts, classes, fill, step) =
-            (&self.planes, &self.cuts, &self.classes, self.fill, self.step_mm);
+        let (planes, cuts, reach) = (&self.planes, &self.cuts, &self.reach);
+        let (classes, fill, step) = (&self.classes, self.fill, self.step_mm);
         self.polygon
             .par_chunks_mut(m * planes.len())
             .zip(self.properties.par_chunks_mut(m))
@@ -220,7 +228,7 @@ impl Beams {
                         cut: &cuts[e],
                         pose: pose.shifted(offset),
                     };
-                    coverage::cover(plane.cut, scene.organs, &ray, polygon);
+                    coverage::cover(plane.cut, scene.organs, &reach[e], line as f32, &ray, polygon);
                     coverage::runs(polygon, |p, range| {
                         plane.run(p, range, &ray, |n, p, s| {
                             for q in 0..4 {
@@ -259,7 +267,7 @@ impl Beams {
     /// Scatterers along each line, filtered by the pulse.
     fn scatter(&mut self, scene: &Scene, probe: &Probe, pose: &ProbePose) {
         let (m, step_mm, sub) = (self.samples, self.step_mm, self.lateral.sub);
-        let (planes, cuts, pulse) = (&self.planes, &self.cuts, &self.pulse);
+        let (planes, cuts, reach, pulse) = (&self.planes, &self.cuts, &self.reach, &self.pulse);
         let (properties, amplitude) = (&self.properties, &self.amplitude);
         let lattice = Lattice {
             per_mm: 1.0 / probe.wavelength_mm(),
@@ -285,8 +293,8 @@ impl Beams {
                 };
                 let ray = ray(probe, fine as f64 / sub as f64, m, step_mm);
                 drawn.fill(0.0);
-                for (cut, &(offset, _, weight)) in cuts.iter().zip(planes) {
-                    coverage::cover(cut, scene.organs, &ray, polygon);
+                for ((cut, reach), &(offset, _, weight)) in cuts.iter().zip(reach).zip(planes) {
+                    coverage::cover(cut, scene.organs, reach, line as f32 + t, &ray, polygon);
                     let pose = pose.shifted(offset);
                     coverage::runs(polygon, |p, range| {
                         if !range.clone().any(|j| strength(j) > 0.0) {
@@ -374,6 +382,15 @@ impl Plane<'_> {
             Some(_) => range.for_each(|n| each(n, self.fill, Source::Inverted)),
             None => match self.scene.background {
                 Background::Fixed => range.for_each(|n| each(n, self.fill, Source::Outside)),
+                Background::Surroundings if self.scene.organs.len() == 1 => {
+                    let volume = &self.scene.organs[0].volume;
+                    let [zero, step] = slice::undeformed(volume, &self.pose, ray);
+                    for n in range {
+                        let index = [0, 1, 2].map(|a| (zero[a] + n as f64 * step[a]) as f32);
+                        let (value, source) = self.around(volume, index);
+                        each(n, value, source);
+                    }
+                }
                 Background::Surroundings => range.for_each(|n| {
                     let (value, source) = self.surroundings(ray.point(n as f64));
                     each(n, value, source);
@@ -398,7 +415,7 @@ impl Plane<'_> {
 
     fn mesh(&self, p: &Polygon, index: [f32; 3], source: Source) -> (Properties, Source) {
         let organ = &self.scene.organs[p.organ as usize];
-        let value = self.classes[p.organ as usize].at(organ, index);
+        let value = self.classes[p.organ as usize].at(&organ.volume, index);
         if organ.volume.holds(index) {
             (value, source)
         } else {
@@ -411,6 +428,19 @@ impl Plane<'_> {
         [border[0], border[1], self.fill[2], 0.0]
     }
 
+    /// The scan of the only organ, without the organ.
+    #[inline]
+    fn around(&self, volume: &Volume, index: [f32; 3]) -> (Properties, Source) {
+        let classes = &self.classes[0];
+        if !volume.holds(index) {
+            (self.beyond(classes.at(volume, index)), Source::Outside)
+        } else if volume.touches_region(index) {
+            (self.fill, Source::Vacated)
+        } else {
+            (classes.at(volume, index), Source::Surroundings)
+        }
+    }
+
     /// As level 0 does it: the scan without the organs.
     fn surroundings(&self, plane_mm: [f64; 2]) -> (Properties, Source) {
         let patient = self.pose.point(plane_mm[0], plane_mm[1], 0.0);
@@ -420,15 +450,15 @@ impl Plane<'_> {
             let index = apply(&organ.volume.to_index, patient).map(|v| v as f32);
             if !organ.volume.holds(index) {
                 if std::mem::take(&mut first) {
-                    found.0 = self.beyond(classes.at(organ, index));
+                    found.0 = self.beyond(classes.at(&organ.volume, index));
                 }
                 continue;
             }
-            if organ.volume.touches_region(index, organ.regions) {
+            if organ.volume.touches_region(index) {
                 return (self.fill, Source::Vacated);
             }
             if found.1 == Source::Outside {
-                found = (classes.at(organ, index), Source::Surroundings);
+                found = (classes.at(&organ.volume, index), Source::Surroundings);
             }
         }
         found

@@ -2,6 +2,7 @@
 
 use crate::cut::{Cut, Polygon, Ray};
 use crate::organ::Organ;
+use crate::{PixelGrid, Probe};
 
 /// Marks a sample that no polygon covers.
 pub(crate) const NONE: u32 = u32::MAX;
@@ -13,30 +14,80 @@ const NEAR: usize = 64;
 ///
 /// Where a folded mesh covers a sample more than once, the lowest tet has it. Where the meshes of several organs overlap
 /// (each has a margin around its organ), the first organ whose label is there has it, else the first mesh. Inverted tets
-/// get what is left.
-pub(crate) fn cover(cut: &Cut, organs: &[Organ], ray: &Ray, out: &mut [u32]) {
+/// get what is left. `reach`: between which rays each polygon lies, `ray` being number `line`.
+pub(crate) fn cover(cut: &Cut, organs: &[Organ], reach: &[[f32; 2]], line: f32, ray: &Ray, out: &mut [u32]) {
     out.fill(NONE);
-    let several = organs.len() > 1;
+    for (n, (polygon, reach)) in cut.polygons.iter().zip(reach).enumerate() {
+        if reach[0] <= line && line <= reach[1] {
+            claim(cut, organs, n, polygon, ray, out);
+        }
+    }
+}
+
+/// [`cover`] for the pixels of whole rows from `first` on.
+pub(crate) fn cover_rows(cut: &Cut, organs: &[Organ], grid: &PixelGrid, first: usize, out: &mut [u32]) {
+    out.fill(NONE);
+    let w = grid.width_px.max(1);
+    let rows = out.len() / w;
     for (n, polygon) in cut.polygons.iter().enumerate() {
-        let span = ray.span(polygon);
-        let first = span.start;
-        let Some(row) = out.get_mut(span) else { continue };
-        for (m, slot) in row.iter_mut().enumerate() {
-            if *slot == NONE {
-                *slot = n as u32;
-            } else if several && !polygon.inverted {
-                let Some(other) = cut.polygons.get(*slot as usize) else {
-                    continue;
-                };
-                if other.organ != polygon.organ {
-                    let p = ray.point((first + m) as f64);
-                    if !in_region(organs, other, p) && in_region(organs, polygon, p) {
-                        *slot = n as u32;
-                    }
+        let row = |z: f64| (z - grid.z0_mm) / grid.pixel_mm - first as f64;
+        // A row more on either side is far above rounding.
+        let low = row(polygon.centre[1] - polygon.half[1]) - 1.0;
+        let high = row(polygon.centre[1] + polygon.half[1]) + 2.0;
+        if high <= 0.0 || low >= rows as f64 {
+            continue;
+        }
+        for m in low as usize..(high as usize).min(rows) {
+            let ray = Ray {
+                start: grid.plane([0.0, (first + m) as f64]),
+                direction: [1.0, 0.0],
+                step_mm: grid.pixel_mm,
+                samples: w,
+            };
+            claim(cut, organs, n, polygon, &ray, &mut out[m * w..(m + 1) * w]);
+        }
+    }
+}
+
+/// Gives polygon `n` the samples that it has a right to.
+#[inline]
+fn claim(cut: &Cut, organs: &[Organ], n: usize, polygon: &Polygon, ray: &Ray, out: &mut [u32]) {
+    let several = organs.len() > 1;
+    let span = ray.span(polygon);
+    let first = span.start;
+    let Some(row) = out.get_mut(span) else { return };
+    for (m, slot) in row.iter_mut().enumerate() {
+        if *slot == NONE {
+            *slot = n as u32;
+        } else if several && !polygon.inverted {
+            let Some(other) = cut.polygons.get(*slot as usize) else {
+                continue;
+            };
+            if other.organ != polygon.organ {
+                let p = ray.point((first + m) as f64);
+                if !in_region(organs, other, p) && in_region(organs, polygon, p) {
+                    *slot = n as u32;
                 }
             }
         }
     }
+}
+
+/// Between which scan lines each polygon lies, with room for rounding.
+pub(crate) fn lines(cut: &Cut, probe: &Probe, out: &mut Vec<[f32; 2]>) {
+    out.clear();
+    out.extend(cut.polygons.iter().map(|p| {
+        let (mut lo, mut hi) = (f64::INFINITY, f64::NEG_INFINITY);
+        for &c in &p.corners[..p.count] {
+            if !probe.fans_towards(c) {
+                return [f32::NEG_INFINITY, f32::INFINITY];
+            }
+            let line = probe.beam(c)[0];
+            lo = lo.min(line);
+            hi = hi.max(line);
+        }
+        [(lo - 0.01) as f32, (hi + 0.01) as f32]
+    }));
 }
 
 /// Whether a point of the plane shows one of the organ's regions through this polygon.

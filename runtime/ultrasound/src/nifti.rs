@@ -12,9 +12,15 @@ pub(crate) enum Voxels<'a> {
 const HEADER: usize = 352;
 
 /// A single-file NIfTI-1 of one plane, first axis fastest, with its affine to patient RAS+ mm as sform and qform (scanner
-/// coordinates), mm. The affine's columns must be perpendicular and right-handed, as those of a
+/// coordinates), mm. `what` goes into its description. The affine's columns must be perpendicular and right-handed, as those of a
 /// [`crate::PixelGrid::affine`] are.
-pub(crate) fn encode(width: usize, height: usize, affine: &[[f64; 4]; 3], voxels: &Voxels) -> Vec<u8> {
+pub(crate) fn encode(
+    width: usize,
+    height: usize,
+    affine: &[[f64; 4]; 3],
+    voxels: &Voxels,
+    what: &str,
+) -> Vec<u8> {
     let (code, bits) = match voxels {
         Voxels::U8(_) => (2i16, 8i16),
         Voxels::U16(_) => (512, 16),
@@ -41,14 +47,9 @@ pub(crate) fn encode(width: usize, height: usize, affine: &[[f64; 4]; 3], voxels
     put(112, &1f32.to_le_bytes());
     // mm.
     put(123, &[2]);
-    // At most 79 characters.
-    put(
-        148,
-        match voxels {
-            Voxels::U8(_) => &b"palpate-ultrasound: grey values and stiffness are not calibrated"[..],
-            _ => b"palpate-ultrasound: stiffness is not calibrated",
-        },
-    );
+    let description = format!("palpate: {what}");
+    // 80 bytes with the closing zero.
+    put(148, &description.as_bytes()[..description.len().min(79)]);
     put(252, &1i16.to_le_bytes());
     put(254, &1i16.to_le_bytes());
     let q = quaternion([0, 1, 2].map(|c| scale(columns[c], 1.0 / size[c])));

@@ -1,5 +1,5 @@
 use crate::vector::{Vec3, add, apply, barycentric_rows, dot, inverse, mix, sub, wide};
-use crate::{TissueTable, UltrasoundError};
+use crate::{Tissue, TissueTable, UltrasoundError};
 use palpate_package::{Affine34, ModelPackage};
 
 /// What an image needs of one model package: rest embedding mesh, CT values and labels.
@@ -16,6 +16,8 @@ pub struct Organ {
     pub(crate) label_names: Vec<String>,
     pub(crate) regions: usize,
     pub(crate) nominal: bool,
+    /// Where there is no CT: `label: tissue, HU`, the surroundings first.
+    pub(crate) nominal_tissues: Vec<String>,
 }
 
 /// CT values and labels on one voxel grid; index i + dims[0]·(j + dims[1]·k).
@@ -28,9 +30,16 @@ pub(crate) struct Volume {
     pub(crate) to_patient: Affine34,
     pub(crate) hu: Vec<i16>,
     pub(crate) label: Vec<u8>,
+    /// Per cell (named by its lowest voxel): [`TOUCHES_REGION`], [`MIXED`].
+    cell: Vec<u8>,
     /// Mean distance of neighbouring voxels, mm.
     pub(crate) spacing_mm: f64,
 }
+
+/// Bit of a cell whose eight voxels hold a region's label.
+const TOUCHES_REGION: u8 = 1;
+/// Bit of a cell whose eight voxels have different labels.
+const MIXED: u8 = 2;
 
 impl Organ {
     /// Prepares a package; `tissues` gives the nominal CT values where it has none.
@@ -81,9 +90,17 @@ impl Organ {
                 "one per cell of a grid that is not empty",
             ));
         }
-        let mut nominal_hu = vec![tissues.of_surroundings()?.nominal_hu];
+        let surroundings = tissues.of_surroundings()?;
+        let mut nominal_hu = vec![surroundings.nominal_hu];
+        let named = |label: &str, t: &Tissue| format!("{label}: {}, {} HU", t.name, t.nominal_hu);
+        let mut nominal_tissues = vec![named("surroundings", surroundings)];
         for label in &labels.names {
-            nominal_hu.push(tissues.of_region(label)?.nominal_hu);
+            let tissue = tissues.of_region(label)?;
+            nominal_hu.push(tissue.nominal_hu);
+            nominal_tissues.push(named(label, tissue));
+        }
+        if package.ct.is_some() {
+            nominal_tissues.clear();
         }
         if let Some(&v) = labels.data.iter().find(|&&v| usize::from(v) >= nominal_hu.len()) {
             return Err(fault(
@@ -94,8 +111,10 @@ impl Organ {
         }
         let label_to_index = inverse(&labels.affine)
             .ok_or_else(|| fault("labels/affine", format!("{:?}", labels.affine), "invertible"))?;
+        let regions = package.info.regions.len();
         let volume = match &package.ct {
             None => Volume::new(
+                regions,
                 labels.dims,
                 labels.affine,
                 label_to_index,
@@ -117,7 +136,7 @@ impl Organ {
                 } else {
                     onto(ct.dims, &ct.affine, labels.dims, &label_to_index, &labels.data)
                 };
-                Volume::new(ct.dims, ct.affine, to_index, ct.hu.clone(), label)
+                Volume::new(regions, ct.dims, ct.affine, to_index, ct.hu.clone(), label)
             }
         };
         Ok(Self {
@@ -127,8 +146,9 @@ impl Organ {
             tets: mesh.tets.clone(),
             volume,
             label_names: labels.names.clone(),
-            regions: package.info.regions.len(),
+            regions,
             nominal: package.ct.is_none(),
+            nominal_tissues,
         })
     }
 
@@ -179,8 +199,8 @@ impl Organ {
         None
     }
 
-    /// Label and CT value at a rest point (patient mm); `None` outside of the scan's crop. The label is the nearest
-    /// voxel's, the CT value trilinear.
+    /// Label and CT value at a rest point (patient mm); `None` outside of the scan's crop. The label is that with the most
+    /// trilinear weight, the CT value trilinear.
     pub fn at_rest(&self, rest_mm: [f64; 3]) -> Option<(u8, f32)> {
         let index = apply(&self.volume.to_index, rest_mm).map(|v| v as f32);
         self.volume
@@ -217,6 +237,7 @@ fn onto(
 
 impl Volume {
     pub(crate) fn new(
+        regions: usize,
         dims: [usize; 3],
         to_patient: Affine34,
         to_index: Affine34,
@@ -224,8 +245,17 @@ impl Volume {
         label: Vec<u8>,
     ) -> Self {
         let size = |c: usize| (0..3).map(|r| to_patient[r][c].powi(2)).sum::<f64>().sqrt();
+        let region = |l: &u8| u8::from(*l >= 1 && usize::from(*l) <= regions);
+        let touches = pooled(dims, label.iter().map(region).collect(), u8::max);
+        let low = pooled(dims, label.clone(), u8::min);
+        let high = pooled(dims, label.clone(), u8::max);
+        let bits = |((t, l), h): ((&u8, &u8), &u8)| {
+            let mixed = if l == h { 0 } else { MIXED };
+            t * TOUCHES_REGION + mixed
+        };
         Self {
             spacing_mm: (size(0) + size(1) + size(2)) / 3.0,
+            cell: touches.iter().zip(&low).zip(&high).map(bits).collect(),
             dims,
             to_index,
             to_patient,
@@ -264,41 +294,117 @@ impl Volume {
     pub(crate) fn hu_at(&self, index: [f32; 3]) -> f32 {
         let (lower, weight, step) = self.corner(index);
         let n = lower[0] + self.dims[0] * (lower[1] + self.dims[1] * lower[2]);
-        trilinear(&self.hu, n, weight, step)
+        Corners::new(&self.hu, n, step).at(weight)
     }
 
-    /// Label of the nearest voxel, clamped to the grid.
+    /// Distance of neighbouring voxels along each axis in the arrays.
+    pub(crate) fn strides(&self) -> [usize; 3] {
+        [1, self.dims[0], self.dims[0] * self.dims[1]]
+    }
+
+    /// The label with the most trilinear weight at an index, clamped to the grid; of equals that of the lowest corner.
+    /// Beside the nearest voxel's label, the border between labels is as smooth as interpolation makes it.
     #[inline]
     pub(crate) fn label_at(&self, index: [f32; 3]) -> u8 {
-        let at = |a: usize| ((index[a] + 0.5).max(0.0) as usize).min(self.dims[a] - 1);
-        self.label[at(0) + self.dims[0] * (at(1) + self.dims[1] * at(2))]
+        let (lower, weight, step) = self.corner(index);
+        let n = lower[0] + self.dims[0] * (lower[1] + self.dims[1] * lower[2]);
+        if self.cell[n] & MIXED == 0 {
+            return self.label[n];
+        }
+        self.prevailing(n, weight, step)
     }
 
-    /// Whether any of the eight voxels around an index has a label from 1 to `regions`.
-    pub(crate) fn touches_region(&self, index: [f32; 3], regions: usize) -> bool {
-        let (lower, _, step) = self.corner(index);
-        let n = lower[0] + self.dims[0] * (lower[1] + self.dims[1] * lower[2]);
-        (0..8).any(|c| {
-            let m = n + [0, 1, 2]
-                .map(|a| if c >> a & 1 == 1 { step[a] } else { 0 })
-                .iter()
-                .sum::<usize>();
-            let l = usize::from(self.label[m]);
-            l >= 1 && l <= regions
-        })
+    /// As [`Volume::label_at`] in a cell given by its lowest voxel.
+    pub(crate) fn prevailing(&self, voxel: usize, w: [f32; 3], step: [usize; 3]) -> u8 {
+        let mut label = [0u8; 8];
+        let mut weight = [0f32; 8];
+        for c in 0..8 {
+            let upper = [c & 1 == 1, c & 2 == 2, c & 4 == 4];
+            let mut m = voxel;
+            let mut share = 1.0;
+            for a in 0..3 {
+                m += if upper[a] { step[a] } else { 0 };
+                share *= if upper[a] { w[a] } else { 1.0 - w[a] };
+            }
+            label[c] = self.label[m];
+            weight[c] = share;
+        }
+        let (mut best, mut most) = (label[0], -1.0);
+        for c in 0..8 {
+            let mut sum = 0.0;
+            for d in 0..8 {
+                sum += if label[d] == label[c] { weight[d] } else { 0.0 };
+            }
+            if sum > most {
+                (best, most) = (label[c], sum);
+            }
+        }
+        best
+    }
+
+    /// Whether any of the eight voxels around an index has a region's label; clamped to the grid.
+    #[inline]
+    pub(crate) fn touches_region(&self, index: [f32; 3]) -> bool {
+        let (lower, _, _) = self.corner(index);
+        self.cell_touches_region(lower[0] + self.dims[0] * (lower[1] + self.dims[1] * lower[2]))
+    }
+
+    /// Whether any of a cell's voxels has a region's label.
+    #[inline(always)]
+    pub(crate) fn cell_touches_region(&self, voxel: usize) -> bool {
+        self.cell[voxel] & TOUCHES_REGION != 0
+    }
+
+    /// Whether a cell's voxels have different labels.
+    #[inline(always)]
+    pub(crate) fn cell_is_mixed(&self, voxel: usize) -> bool {
+        self.cell[voxel] & MIXED != 0
     }
 }
 
-#[inline(always)]
-pub(crate) fn trilinear(hu: &[i16], n: usize, w: [f32; 3], step: [usize; 3]) -> f32 {
-    let row = |m: usize| {
-        let (a, b) = (f32::from(hu[m]), f32::from(hu[m + step[0]]));
-        a + w[0] * (b - a)
-    };
-    let sheet = |m: usize| {
-        let (a, b) = (row(m), row(m + step[1]));
-        a + w[1] * (b - a)
-    };
-    let (a, b) = (sheet(n), sheet(n + step[2]));
-    a + w[2] * (b - a)
+/// For each cell the minimum or maximum of its eight voxels; at the grid's far sides of those that there are.
+pub(crate) fn pooled<T: Copy>(dims: [usize; 3], mut values: Vec<T>, pick: impl Fn(T, T) -> T) -> Vec<T> {
+    let mut stride = 1;
+    for d in dims {
+        for block in values.chunks_mut((stride * d).max(1)) {
+            // Ascending, so that the upper value is still the original one.
+            for n in 0..block.len().saturating_sub(stride) {
+                block[n] = pick(block[n], block[n + stride]);
+            }
+        }
+        stride *= d;
+    }
+    values
+}
+
+/// CT values at a cell's corners: those at lower first axis, and how much the upper ones have more.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Corners([[f32; 2]; 4]);
+
+impl Corners {
+    #[inline(always)]
+    pub(crate) fn new(hu: &[i16], voxel: usize, step: [usize; 3]) -> Self {
+        let row = |m: usize| {
+            let (a, b) = (f32::from(hu[m]), f32::from(hu[m + step[0]]));
+            [a, b - a]
+        };
+        Self([
+            row(voxel),
+            row(voxel + step[1]),
+            row(voxel + step[2]),
+            row(voxel + step[1] + step[2]),
+        ])
+    }
+
+    /// Trilinear value at weights of the upper corners.
+    #[inline(always)]
+    pub(crate) fn at(&self, w: [f32; 3]) -> f32 {
+        let row = |n: usize| self.0[n][0] + w[0] * self.0[n][1];
+        let sheet = |n: usize| {
+            let (a, b) = (row(n), row(n + 1));
+            a + w[1] * (b - a)
+        };
+        let (a, b) = (sheet(0), sheet(2));
+        a + w[2] * (b - a)
+    }
 }

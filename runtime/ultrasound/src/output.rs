@@ -2,7 +2,7 @@
 
 use crate::nifti::{Voxels, encode};
 use crate::{
-    Image, Level, PixelGrid, Probe, ProbePose, Scanner, Settings, SliceImage, Source, UltrasoundError,
+    Image, Level, Organ, PixelGrid, Probe, ProbePose, Scanner, Settings, SliceImage, Source, UltrasoundError,
 };
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -45,6 +45,8 @@ pub struct OrganMetadata {
     pub name: String,
     /// Whether its CT values are nominal ones by label, for want of a scan.
     pub nominal: bool,
+    /// Then: the tissue and its nominal CT value for each label and the surroundings, as `label: tissue, HU`.
+    pub nominal_tissues: Vec<String>,
     /// Mean voxel size of its scan, mm: detail below this is interpolation.
     pub voxel_mm: f64,
 }
@@ -63,6 +65,7 @@ fn metadata(
         .map(|o| OrganMetadata {
             name: o.name().to_owned(),
             nominal: o.is_nominal(),
+            nominal_tissues: o.nominal_tissues.clone(),
             voxel_mm: o.volume.spacing_mm,
         })
         .collect();
@@ -72,8 +75,9 @@ fn metadata(
     ];
     for o in organs.iter().filter(|o| o.nominal) {
         notes.push(format!(
-            "{}: the package has no CT; values are nominal ones of the labels' tissues",
-            o.name
+            "{}: the package has no CT; values are nominal ones of the labels' tissues: {}",
+            o.name,
+            o.nominal_tissues.join(", ")
         ));
     }
     if level >= Level::Rays {
@@ -113,6 +117,15 @@ fn thickness(probe: &Probe) -> f64 {
     probe.thickness_mm.max(0.1)
 }
 
+/// What a NIfTI file's description adds where an organ has no CT.
+fn nominal(scanner: &Scanner) -> &'static str {
+    if scanner.organs().iter().any(Organ::is_nominal) {
+        "; nominal HU"
+    } else {
+        ""
+    }
+}
+
 fn png(grid: &PixelGrid, grey: &[u8]) -> Result<Vec<u8>, UltrasoundError> {
     let mut out = Vec::new();
     let mut encoder = png::Encoder::new(&mut out, grid.width_px as u32, grid.height_px as u32);
@@ -144,7 +157,22 @@ impl Image<'_> {
     pub fn nifti(&self) -> Vec<u8> {
         let g = self.grid();
         let affine = g.affine(&self.pose, thickness(self.scanner.probe()));
-        encode(g.width_px, g.height_px, &affine, &Voxels::U8(self.pixels()))
+        let what = match self.scanner.settings().level {
+            Level::Slice | Level::Grey => "CT as grey",
+            Level::Rays => "ray model",
+            Level::BMode => "B-mode",
+        };
+        let what = format!(
+            "{what}; grey values and stiffness are not calibrated{}",
+            nominal(self.scanner)
+        );
+        encode(
+            g.width_px,
+            g.height_px,
+            &affine,
+            &Voxels::U8(self.pixels()),
+            &what,
+        )
     }
 
     /// Level, probe, pose, what was nominal, inverted tets, pixels that the mesh did not cover.
@@ -168,14 +196,25 @@ impl SliceImage<'_> {
     pub fn nifti(&self) -> Vec<u8> {
         let g = self.grid();
         let affine = g.affine(&self.pose, thickness(self.scanner.probe()));
-        encode(g.width_px, g.height_px, &affine, &Voxels::F32(self.hu()))
+        let what = format!(
+            "CT values, HU; stiffness is not calibrated{}",
+            nominal(self.scanner)
+        );
+        encode(g.width_px, g.height_px, &affine, &Voxels::F32(self.hu()), &what)
     }
 
     /// A NIfTI-1 file of the label codes (u16, one plane) with the slice's pose.
     pub fn label_nifti(&self) -> Vec<u8> {
         let g = self.grid();
         let affine = g.affine(&self.pose, thickness(self.scanner.probe()));
-        encode(g.width_px, g.height_px, &affine, &Voxels::U16(self.labels()))
+        let voxels = Voxels::U16(self.labels());
+        encode(
+            g.width_px,
+            g.height_px,
+            &affine,
+            &voxels,
+            "label codes; stiffness is not calibrated",
+        )
     }
 
     /// As [`Image::metadata`], of the level 0 image.

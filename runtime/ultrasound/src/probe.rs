@@ -146,6 +146,15 @@ impl Probe {
         }
     }
 
+    /// Whether a point lies on the side of the arc's centre to which the scan lines fan out: there the line of
+    /// [`Probe::beam`] is monotone along any straight path.
+    pub(crate) fn fans_towards(&self, plane_mm: [f64; 2]) -> bool {
+        match self.shape {
+            ProbeShape::Linear { .. } => true,
+            ProbeShape::Curvilinear { radius_mm, .. } => plane_mm[1] + radius_mm > 1e-3,
+        }
+    }
+
     /// Whether a point (lateral, depth mm) lies in the field of view.
     pub fn sees(&self, plane_mm: [f64; 2]) -> bool {
         let [line, along] = self.beam(plane_mm);

@@ -1,6 +1,6 @@
 //! Acoustic properties of voxels.
 
-use crate::organ::Organ;
+use crate::organ::{Organ, Volume, pooled};
 use crate::{Tissue, TissueTable, UltrasoundError};
 use serde::{Deserialize, Serialize};
 
@@ -22,11 +22,15 @@ pub enum AcousticSource {
     Hu,
 }
 
-/// Class of each voxel of an organ's scan, and the properties of the classes.
+/// Bit of a voxel's class that says that the cell above it has more than one class. Labels and CT values make fewer than
+/// 2¹⁵ classes.
+const MIXED: u16 = 1 << 15;
+
+/// Class of each voxel of an organ's scan (with [`MIXED`]), and the properties of the classes.
 #[derive(Clone, Debug)]
 pub(crate) struct Classes {
-    pub(crate) class: Vec<u16>,
-    pub(crate) table: Vec<Properties>,
+    class: Vec<u16>,
+    table: Vec<Properties>,
 }
 
 pub(crate) fn of_tissue(t: &Tissue) -> Properties {
@@ -66,7 +70,7 @@ impl Classes {
                 ]
             }));
         }
-        let class = volume
+        let mut class: Vec<u16> = volume
             .hu
             .iter()
             .zip(&volume.label)
@@ -78,27 +82,37 @@ impl Classes {
                 }
             })
             .collect();
+        let low = pooled(volume.dims, class.clone(), u16::min);
+        let high = pooled(volume.dims, class.clone(), u16::max);
+        for (c, (l, h)) in class.iter_mut().zip(low.iter().zip(&high)) {
+            *c |= if l == h { 0 } else { MIXED };
+        }
         Ok(Self { class, table })
     }
 
     /// Trilinear properties at a voxel index, clamped to the grid.
-    pub(crate) fn at(&self, organ: &Organ, index: [f32; 3]) -> Properties {
-        let volume = &organ.volume;
+    #[inline]
+    pub(crate) fn at(&self, volume: &Volume, index: [f32; 3]) -> Properties {
         let (lower, w, step) = volume.corner(index);
         let n = lower[0] + volume.dims[0] * (lower[1] + volume.dims[1] * lower[2]);
-        let corners: [u16; 8] = std::array::from_fn(|c| {
-            let (x, y, z) = (c & 1, c >> 1 & 1, c >> 2);
-            self.class[n + x * step[0] + y * step[1] + z * step[2]]
-        });
-        let of = |c: u16| self.table[usize::from(c)];
-        if corners.iter().all(|&c| c == corners[0]) {
-            return of(corners[0]);
+        let first = self.class[n];
+        if first & MIXED == 0 {
+            return self.table[usize::from(first)];
         }
+        self.mixed(n, w, step)
+    }
+
+    fn mixed(&self, voxel: usize, w: [f32; 3], step: [usize; 3]) -> Properties {
         let mut out = [0.0; 4];
-        for (c, &class) in corners.iter().enumerate() {
-            let share = |a: usize| if c >> a & 1 == 1 { w[a] } else { 1.0 - w[a] };
-            let weight = share(0) * share(1) * share(2);
-            let p = of(class);
+        for c in 0..8usize {
+            let mut m = voxel;
+            let mut weight = 1.0;
+            for a in 0..3 {
+                let upper = c >> a & 1 == 1;
+                m += if upper { step[a] } else { 0 };
+                weight *= if upper { w[a] } else { 1.0 - w[a] };
+            }
+            let p = &self.table[usize::from(self.class[m] & !MIXED)];
             for q in 0..4 {
                 out[q] += weight * p[q];
             }

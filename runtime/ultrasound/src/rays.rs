@@ -26,6 +26,9 @@ pub(crate) struct Neighbours<'a> {
 /// Impedance below which there is no contact, MRayl: far below all tissue, far above air.
 const CONTACT_MRAYL: f32 = 0.1;
 
+/// Natural logarithm of the amplitude of one dB.
+const DB: f64 = std::f64::consts::LN_10 / 20.0;
+
 impl RayModel {
     /// `sources`: where the samples are from, as the numbers of [`Source`]. Fills `amplitude` (two-way factor of a scatterer's echo, depth gain included) and `interface` (echo of interfaces with
     /// the same factor). Returns whether the line has contact.
@@ -61,7 +64,7 @@ impl RayModel {
                 through
             };
             // Out and back: the square of the one-way intensity is the intensity, so this is the amplitude.
-            let factor = open * 10f64.powf((gain_db - 2.0 * loss_db) / 20.0);
+            let factor = open * ((gain_db - 2.0 * loss_db) * DB).exp();
             amplitude[j] = factor as f32;
             let Some(next) = line.get(j + 1) else { break };
             let here = &line[j];
@@ -78,7 +81,7 @@ impl RayModel {
             let pitch = near.lines * probe.pitch_mm(along);
             let cross = |q: usize| f64::from(near.after[j][q] - near.before[j][q]) / pitch;
             let across = cross(0);
-            let steep = dz.hypot(across);
+            let steep = (dz * dz + across * across).sqrt();
             if steep * blur < 1e-4 {
                 continue;
             }

@@ -1,11 +1,12 @@
 //! Level 0 (Camara et al. 2016): scan plane → deformed tets → rest pose → CT.
 
 use crate::coverage::{self, NONE};
-use crate::cut::{Cut, Ray};
-use crate::organ::{Organ, trilinear};
-use crate::vector::apply;
+use crate::cut::{Cut, Polygon, Ray};
+use crate::organ::{Corners, Organ, Volume};
+use crate::vector::{Vec3, add, apply, apply_linear, scale};
 use crate::{Background, PixelGrid, ProbePose, Source};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// What a sampler needs besides the cut.
 #[derive(Clone, Copy, Debug)]
@@ -40,30 +41,42 @@ impl Pixels {
     }
 }
 
-/// Fills all pixels of the grid. Rows are independent, so the bytes do not depend on the threads.
+/// Rows of a unit of parallel work.
+const BAND: usize = 16;
+
+/// Fills all pixels of the grid. Bands of rows are independent, so the bytes do not depend on the threads.
 pub(crate) fn resample(scene: &Scene, cut: &Cut, pose: &ProbePose, grid: &PixelGrid, out: &mut Pixels) {
     out.resize(grid.len());
     let w = grid.width_px.max(1);
+    let ray = |row: usize| Ray {
+        start: grid.plane([0.0, row as f64]),
+        direction: [1.0, 0.0],
+        step_mm: grid.pixel_mm,
+        samples: w,
+    };
     out.polygon
-        .par_chunks_mut(w)
-        .zip(out.hu.par_chunks_mut(w))
-        .zip(out.label.par_chunks_mut(w))
-        .zip(out.source.par_chunks_mut(w))
+        .par_chunks_mut(w * BAND)
+        .zip(out.hu.par_chunks_mut(w * BAND))
+        .zip(out.label.par_chunks_mut(w * BAND))
+        .zip(out.source.par_chunks_mut(w * BAND))
         .enumerate()
-        .for_each(|(row, (((polygon, hu), label), source))| {
-            let ray = Ray {
-                start: grid.plane([0.0, row as f64]),
-                direction: [1.0, 0.0],
-                step_mm: grid.pixel_mm,
-                samples: w,
-            };
-            coverage::cover(cut, scene.organs, &ray, polygon);
-            let mut line = Line { hu, label, source };
-            coverage::runs(polygon, |p, range| match cut.polygons.get(p as usize) {
-                Some(p) if !p.inverted => line.mesh(scene, cut, &ray, p, range, Source::Mesh),
-                Some(_) => line.fill(scene, range, Source::Inverted),
-                None => line.outside(scene, cut, pose, &ray, range),
-            });
+        .for_each(|(band, (((polygon, hu), label), source))| {
+            let first = band * BAND;
+            coverage::cover_rows(cut, scene.organs, grid, first, polygon);
+            let rows = polygon
+                .chunks(w)
+                .zip(hu.chunks_mut(w))
+                .zip(label.chunks_mut(w))
+                .zip(source.chunks_mut(w));
+            for (n, (((polygon, hu), label), source)) in rows.enumerate() {
+                let ray = ray(first + n);
+                let mut line = Line { hu, label, source };
+                coverage::runs(polygon, |p, range| match cut.polygons.get(p as usize) {
+                    Some(p) if !p.inverted => line.mesh(scene, &ray, p, range, Source::Mesh),
+                    Some(_) => line.fill(scene, range, Source::Inverted),
+                    None => line.outside(scene, cut, pose, &ray, range),
+                });
+            }
         });
 }
 
@@ -74,79 +87,114 @@ struct Line<'a> {
 }
 
 impl Line<'_> {
-    fn fill(&mut self, scene: &Scene, range: std::ops::Range<usize>, source: Source) {
+    fn fill(&mut self, scene: &Scene, range: Range<usize>, source: Source) {
         self.hu[range.clone()].fill(scene.fill_hu);
         self.label[range.clone()].fill(0);
         self.source[range].fill(source as u8);
     }
 
-    fn mesh(
-        &mut self,
-        scene: &Scene,
-        _cut: &Cut,
-        ray: &Ray,
-        polygon: &crate::cut::Polygon,
-        range: std::ops::Range<usize>,
-        source: Source,
-    ) {
-        let organ = &scene.organs[polygon.organ as usize];
-        let base = scene.label_base[polygon.organ as usize];
-        let volume = &organ.volume;
-        let [zero, step] = polygon.along(ray);
-        let at = |n: usize| [0, 1, 2].map(|a| zero[a] + n as f64 * step[a]);
-        let (first, last) = (at(range.start), at(range.end - 1));
-        let interior = (0..3).all(|a| {
-            let most = volume.dims[a] as f64 - 1.001;
-            first[a] >= 0.0 && last[a] >= 0.0 && first[a] < most && last[a] < most
-        });
-        if !interior {
-            for n in range {
-                let index = at(n).map(|v| v as f32);
-                if volume.holds(index) {
-                    let value = volume.label_at(index);
-                    self.hu[n] = volume.hu_at(index);
-                    self.label[n] = coded(value, base);
-                    self.source[n] = source as u8;
-                } else {
-                    self.fill(scene, n..n + 1, Source::BeyondScan);
-                }
-            }
-            return;
-        }
-        // The whole run lies between voxel centres: no clamping, one set of strides.
-        let (a, b) = (first.map(|v| v as f32), step.map(|v| v as f32));
-        let stride = [1, volume.dims[0], volume.dims[0] * volume.dims[1]];
-        let values = self.hu[range.clone()]
-            .iter_mut()
-            .zip(&mut self.label[range.clone()]);
-        for (n, (hu, label)) in values.enumerate() {
-            let t = n as f32;
-            let index = [a[0] + t * b[0], a[1] + t * b[1], a[2] + t * b[2]];
-            // An i32 converts in one instruction; a negative rounding error of the f32 sum becomes 0.
-            let lower = index.map(|v| (v as i32).max(0) as usize);
-            let weight = [0, 1, 2].map(|a| index[a] - lower[a] as f32);
-            let voxel = lower[0] + stride[1] * lower[1] + stride[2] * lower[2];
-            *hu = trilinear(&volume.hu, voxel, weight, stride);
-            let near = voxel
-                + [0, 1, 2]
-                    .map(|a| if weight[a] >= 0.5 { stride[a] } else { 0 })
-                    .iter()
-                    .sum::<usize>();
-            *label = coded(volume.label[near], base);
-        }
-        self.source[range].fill(source as u8);
+    fn mesh(&mut self, scene: &Scene, ray: &Ray, polygon: &Polygon, range: Range<usize>, source: Source) {
+        let organ = polygon.organ as usize;
+        self.sweep(scene, organ, polygon.along(ray), range, source);
     }
 
-    fn outside(
+    /// Samples along a straight line in an organ's scan: CT index at sample 0, and its change per sample.
+    fn sweep(
         &mut self,
         scene: &Scene,
-        cut: &Cut,
-        pose: &ProbePose,
-        ray: &Ray,
-        range: std::ops::Range<usize>,
+        organ: usize,
+        [zero, step]: [Vec3; 2],
+        range: Range<usize>,
+        source: Source,
     ) {
+        let volume = &scene.organs[organ].volume;
+        let base = scene.label_base[organ];
+        let inner = interior(volume.dims, zero, step, range.clone());
+        let rim = [range.start..inner.start, inner.end..range.end];
+        self.cells(scene, volume, base, [zero, step], inner, source);
+        for n in rim.into_iter().flatten() {
+            let index = [0, 1, 2].map(|a| (zero[a] + n as f64 * step[a]) as f32);
+            let kind = match (volume.holds(index), source) {
+                (false, Source::Surroundings) => Source::Outside,
+                (false, _) => Source::BeyondScan,
+                (true, Source::Surroundings) if volume.touches_region(index) => Source::Vacated,
+                (true, _) => {
+                    self.hu[n] = volume.hu_at(index);
+                    self.label[n] = coded(volume.label_at(index), base);
+                    self.source[n] = source as u8;
+                    continue;
+                }
+            };
+            self.fill(scene, n..n + 1, kind);
+        }
+    }
+
+    /// [`Line::sweep`] where all samples lie between voxel centres: a cell's corners are fetched once for all samples in it.
+    fn cells(
+        &mut self,
+        scene: &Scene,
+        volume: &Volume,
+        base: u16,
+        [zero, step]: [Vec3; 2],
+        range: Range<usize>,
+        source: Source,
+    ) {
+        /// Samples that are computed at once.
+        const BLOCK: usize = 8;
+        let first = range.start;
+        let zero = [0, 1, 2].map(|a| (zero[a] + first as f64 * step[a]) as f32);
+        let step = step.map(|v| v as f32);
+        // Samples from one border of a cell to the next, along each axis.
+        let pace = step.map(|v| (1.0 / v.abs()).min(1e9));
+        let stride = volume.strides();
+        let mut n = first;
+        while n < range.end {
+            let t = (n - first) as f32;
+            // A negative rounding error of the f32 sum becomes 0.
+            let index = [0, 1, 2].map(|a| (zero[a] + t * step[a]).max(0.0));
+            // An i32 converts in one instruction.
+            let lower = index.map(|v| v as i32);
+            let w = [0, 1, 2].map(|a| index[a] - lower[a] as f32);
+            let [i, j, k] = lower.map(|v| v as usize);
+            let voxel = i + stride[1] * j + stride[2] * k;
+            let left = [0, 1, 2].map(|a| pace[a] * if step[a] >= 0.0 { 1.0 - w[a] } else { w[a] });
+            let left = left[0].min(left[1]).min(left[2]) as i32 as usize;
+            let count = (left + 1).min(BLOCK).min(range.end - n);
+            if source == Source::Surroundings && volume.cell_touches_region(voxel) {
+                self.fill(scene, n..n + count, Source::Vacated);
+                n += count;
+                continue;
+            }
+            let corners = Corners::new(&volume.hu, voxel, stride);
+            if count > 2 && n + BLOCK <= range.end {
+                // What lies beyond the count is overwritten by the next cell.
+                let block: [f32; BLOCK] = std::array::from_fn(|m| corners.at(along(w, step, m)));
+                self.hu[n..n + BLOCK].copy_from_slice(&block);
+            } else {
+                for m in 0..count {
+                    self.hu[n + m] = corners.at(along(w, step, m));
+                }
+            }
+            if volume.cell_is_mixed(voxel) {
+                for m in 0..count {
+                    let label = volume.prevailing(voxel, along(w, step, m), stride);
+                    self.label[n + m] = coded(label, base);
+                }
+            } else {
+                self.label[n..n + count].fill(coded(volume.label[voxel], base));
+            }
+            self.source[n..n + count].fill(source as u8);
+            n += count;
+        }
+    }
+
+    fn outside(&mut self, scene: &Scene, cut: &Cut, pose: &ProbePose, ray: &Ray, range: Range<usize>) {
         match scene.background {
             Background::Fixed => self.fill(scene, range, Source::Outside),
+            Background::Surroundings if scene.organs.len() == 1 => {
+                let map = undeformed(&scene.organs[0].volume, pose, ray);
+                self.sweep(scene, 0, map, range, Source::Surroundings);
+            }
             Background::Surroundings => {
                 for n in range {
                     let (hu, label, source) = surroundings(scene, pose, ray.point(n as f64));
@@ -159,9 +207,9 @@ impl Line<'_> {
                 let reach = scene.edge_mm.iter().copied().fold(0.0, f64::max);
                 coverage::nearest(cut, ray, range, reach, |n, near| {
                     let polygon = near.and_then(|p| cut.polygons.get(p as usize));
-                    let distance = |p: &crate::cut::Polygon| p.distance(ray.point(n as f64));
+                    let distance = |p: &Polygon| p.distance(ray.point(n as f64));
                     match polygon.filter(|p| distance(p) <= scene.edge_mm[p.organ as usize]) {
-                        Some(p) => self.mesh(scene, cut, ray, p, n..n + 1, Source::Extrapolated),
+                        Some(p) => self.mesh(scene, ray, p, n..n + 1, Source::Extrapolated),
                         None => self.fill(scene, n..n + 1, Source::Outside),
                     }
                 });
@@ -174,6 +222,51 @@ fn coded(value: u8, base: u16) -> u16 {
     if value == 0 { 0 } else { base + u16::from(value) }
 }
 
+/// Weights of the upper corners at a number of samples from where they are `w`.
+#[inline(always)]
+fn along(w: [f32; 3], step: [f32; 3], samples: usize) -> [f32; 3] {
+    let t = samples as f32;
+    [w[0] + t * step[0], w[1] + t * step[1], w[2] + t * step[2]]
+}
+
+/// Samples of a line whose cells lie in the grid altogether; a range within the given one.
+pub(crate) fn interior(dims: [usize; 3], zero: Vec3, step: Vec3, range: Range<usize>) -> Range<usize> {
+    let (mut lo, mut hi) = (range.start as f64, range.end as f64);
+    for a in 0..3 {
+        let most = dims[a] as f64 - 1.001;
+        let inside = |n: f64| (0.0..most).contains(&(zero[a] + n * step[a]));
+        if step[a].abs() * (hi - lo) < 1e-9 {
+            if !(inside(lo) && inside(hi)) {
+                return range.start..range.start;
+            }
+            continue;
+        }
+        let ends = [-zero[a] / step[a], (most - zero[a]) / step[a]];
+        let (near, far) = (ends[0].min(ends[1]), ends[0].max(ends[1]));
+        // Rounding must not take a sample outside.
+        lo = lo.max((near + 1e-6).ceil());
+        hi = hi.min((far - 1e-6).ceil());
+    }
+    if lo < hi {
+        lo as usize..hi as usize
+    } else {
+        range.start..range.start
+    }
+}
+
+/// CT index of a ray's start and its change per sample where nothing is deformed.
+pub(crate) fn undeformed(volume: &Volume, pose: &ProbePose, ray: &Ray) -> [Vec3; 2] {
+    let start = pose.point(ray.start[0], ray.start[1], 0.0);
+    let direction = add(
+        scale(pose.lateral, ray.direction[0] * ray.step_mm),
+        scale(pose.axial, ray.direction[1] * ray.step_mm),
+    );
+    [
+        apply(&volume.to_index, start),
+        apply_linear(&volume.to_index, direction),
+    ]
+}
+
 /// The undeformed scan at a point of the plane, from the first organ whose crop holds it.
 fn surroundings(scene: &Scene, pose: &ProbePose, plane_mm: [f64; 2]) -> (f32, u16, Source) {
     let patient = pose.point(plane_mm[0], plane_mm[1], 0.0);
@@ -184,7 +277,7 @@ fn surroundings(scene: &Scene, pose: &ProbePose, plane_mm: [f64; 2]) -> (f32, u1
         if !volume.holds(index) {
             continue;
         }
-        if volume.touches_region(index, organ.regions) {
+        if volume.touches_region(index) {
             return (scene.fill_hu, 0, Source::Vacated);
         }
         if found.2 == Source::Outside {

@@ -14,7 +14,7 @@ impl<'a> SliceImage<'a> {
         &self.scanner.slice.hu
     }
 
-    /// Label codes: 0, or n + 1 for [`Scanner::label_names`]`[n]`; the nearest voxel's at the rest point.
+    /// Label codes: 0, or n + 1 for [`Scanner::label_names`]`[n]`; that with the most trilinear weight at the rest point.
     pub fn labels(&self) -> &'a [u16] {
         &self.scanner.slice.label
     }

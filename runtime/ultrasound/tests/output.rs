@@ -135,7 +135,16 @@ fn metadata_says_what_the_image_is() {
         assert_eq!(serde_json::from_str::<Metadata>(&text).unwrap(), m);
         assert_eq!((m.level, m.pose), (level, pose));
         assert_eq!(m.organs[0].nominal, !ct);
-        assert_eq!(m.notes.iter().any(|n| n.contains("no CT")), !ct);
+        let nominal = "no CT; values are nominal ones of the labels' tissues: surroundings: fat, -100 HU, kidney: kidney, 35 HU";
+        assert_eq!(m.notes.iter().any(|n| n.contains(nominal)), !ct, "{:?}", m.notes);
+        assert_eq!(m.organs[0].nominal_tissues.len(), if ct { 0 } else { 3 });
+        assert!(m.notes.iter().any(|n| n.contains("not calibrated")));
+        let nifti = image.nifti();
+        let description = std::str::from_utf8(&nifti[148..228])
+            .unwrap()
+            .trim_end_matches('\0');
+        assert!(description.contains("not calibrated"), "{description}");
+        assert_eq!(description.ends_with("; nominal HU"), !ct, "{description}");
         assert_eq!(
             m.notes.iter().any(|n| n.contains("synthetic")),
             level == Level::BMode

@@ -6,6 +6,11 @@ use palpate_package::{
     ScanInfo, Skin,
 };
 
+use palpate_ultrasound::{Background, Organ, Probe, ProbeShape, Scanner, Settings, TissueTable};
+
+/// Patient mm of the packages' zero point.
+pub const ORIGIN: [f64; 3] = [37.0, -112.0, 240.0];
+
 /// A repeatable stream of numbers in −1…1.
 pub struct Random(pub u64);
 
@@ -187,4 +192,54 @@ pub fn barycentric(x: [[f64; 3]; 4], p: [f64; 3]) -> Option<[f64; 4]> {
     }
     let l = [det(d, v, w) / all, det(u, d, w) / all, det(u, v, d) / all];
     Some([1.0 - l[0] - l[1] - l[2], l[0], l[1], l[2]])
+}
+
+/// A scanner with the usual tissues.
+pub fn scanner(packages: &[&ModelPackage], probe: Probe, settings: Settings) -> Scanner {
+    let table = TissueTable::default();
+    let organs = packages.iter().map(|p| Organ::new(p, &table).unwrap()).collect();
+    Scanner::new(organs, &table, probe, settings).unwrap()
+}
+
+/// A linear probe.
+pub fn probe(width_mm: f64, depth_mm: f64) -> Probe {
+    Probe {
+        shape: ProbeShape::Linear { width_mm },
+        depth_mm,
+        ..Probe::default()
+    }
+}
+
+/// Settings for an image of n×n pixels.
+pub fn settings(n: usize, background: Background) -> Settings {
+    Settings {
+        width_px: n,
+        height_px: n,
+        background,
+        ..Settings::default()
+    }
+}
+
+/// CT that is linear in the voxel index, so that trilinear interpolation has no error of its own.
+pub fn linear_hu(v: &Voxels, p: [f64; 3]) -> f64 {
+    let q: [f64; 3] = std::array::from_fn(|a| p[a] - v.affine[a][3]);
+    let s = v.affine[0][0];
+    (3.0 * q[0] + 5.0 * q[1] - 7.0 * q[2]) / s
+}
+
+/// The kidney phantom with CT values that are linear in the voxel index.
+pub fn kidney_package(tets: usize) -> (ModelPackage, Voxels) {
+    let (vertices, tets) = kidney_mesh([0.0; 3], tets);
+    let v = Voxels::cube(140, 1.0, [0, 1, 2].map(|a| ORIGIN[a] - 70.0));
+    let local = |p: [f64; 3]| [0, 1, 2].map(|a| p[a] - ORIGIN[a]);
+    let p = package(
+        vertices,
+        tets,
+        ORIGIN,
+        v,
+        &["kidney"],
+        &|p| u8::from(palpate_fixtures::shapes::kidney_value(local(p), [0.0; 3]) < 0.0),
+        Some(&|p| linear_hu(&v, p).round() as i16),
+    );
+    (p, v)
 }
