@@ -28,7 +28,7 @@ pub struct TissueTable {
 }
 
 /// Name, Young's modulus in Pa, density in g/mm³, source.
-const TISSUES: [(&str, f64, f64, &str); 15] = [
+const TISSUES: [(&str, f64, f64, &str); 17] = [
     (
         "kidney",
         5000.0,
@@ -58,6 +58,18 @@ const TISSUES: [(&str, f64, f64, &str); 15] = [
         5000.0,
         1.06e-3,
         "chosen: healthy liver is usually given as 4 to 6 kPa",
+    ),
+    (
+        "spleen",
+        2900.0,
+        1.05e-3,
+        "2.9 ± 1.8 kPa, shear-wave elastography (Arda et al. 2011)",
+    ),
+    (
+        "pancreas",
+        4800.0,
+        1.05e-3,
+        "4.8 ± 3 kPa, shear-wave elastography (Arda et al. 2011)",
     ),
     (
         "prostate",
