@@ -1,9 +1,11 @@
-//! A step allocates nothing.
+//! A step and the skinning after it allocate nothing.
 //!
 //! In a program of its own, for the counting allocator sees all of it.
 
 use glam::{Quat, Vec3};
-use palpate_pbd::{Collider, Pose, RawBody, Scene, Settings, Shape, SoftBody, Solver, TriangleMesh};
+use palpate_pbd::{
+    Collider, Pose, RawBody, Scene, Settings, Shape, SkinnedPoints, SoftBody, Solver, TriangleMesh,
+};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -61,7 +63,17 @@ fn block(n: i32) -> SoftBody {
     SoftBody::from_raw(&raw).unwrap()
 }
 
-/// Calls and bytes of 40 steps in which a probe presses, turns and slides on a body in a box.
+/// As many points as are worth several threads, tied to all clusters.
+fn points(rest: &[[f32; 3]]) -> SkinnedPoints {
+    let places: Vec<[f32; 3]> = rest.iter().cycle().take(20_000).copied().collect();
+    let skin = palpate_package::Skin {
+        indices: (0..20_000).map(|i| [0, 1, 2, 3].map(|k| (i + k) % 8)).collect(),
+        weights: vec![[0.4, 0.3, 0.2, 0.1]; 20_000],
+    };
+    SkinnedPoints::new(&places, &skin, &[[8.0; 3]; 8]).unwrap()
+}
+
+/// Calls and bytes of 40 steps, each with its skinning, in which a probe presses, turns and slides on a body in a box.
 fn of_steps(threads: usize) -> (usize, usize) {
     let half = Vec3::new(30.0, 5.0, 30.0);
     let bed = Collider::fixed(
@@ -76,26 +88,32 @@ fn of_steps(threads: usize) -> (usize, usize) {
         },
         Pose::at(Vec3::new(8.0, 24.0, 8.0)),
     );
-    let scene = Scene::new(vec![block(9)], vec![bed, probe]);
+    let body = block(9);
+    let points = points(body.rest_positions());
+    let mut skinned = vec![[0f32; 3]; points.len()];
+    let scene = Scene::new(vec![body], vec![bed, probe]);
     let mut s = Solver::with_threads(scene, Settings::default(), threads).unwrap();
-    let go = |s: &mut Solver, from: i32, to: i32| {
+    let go = |s: &mut Solver, skinned: &mut [[f32; 3]], from: i32, to: i32| {
         for k in from..to {
             let turn = Quat::from_rotation_y(0.02 * k as f32);
             let at = Vec3::new(8.0, 22.0 - 0.1 * k as f32, 8.0 + (0.1 * k as f32).sin());
             s.set_pose(1, Pose::new(turn, at)).unwrap();
             s.step();
+            s.skin(0, &points, skinned).unwrap();
         }
     };
-    go(&mut s, 0, 20);
+    go(&mut s, &mut skinned, 0, 20);
+    let early = skinned.clone();
     let before = (CALLS.load(Ordering::Relaxed), BYTES.load(Ordering::Relaxed));
-    go(&mut s, 20, 60);
+    go(&mut s, &mut skinned, 20, 60);
     let after = (CALLS.load(Ordering::Relaxed), BYTES.load(Ordering::Relaxed));
     assert!(s.contacts().iter().all(|c| c.contacts > 0), "{:?}", s.contacts());
+    assert!(skinned != early, "points stand still");
     (after.0 - before.0, after.1 - before.1)
 }
 
 #[test]
-fn steps_allocate_nothing() {
+fn steps_and_skinning_allocate_nothing() {
     for threads in [1, 2] {
         let (calls, bytes) = of_steps(threads);
         println!("{threads} threads: {calls} allocations, {bytes} bytes in 40 steps");

@@ -1,5 +1,8 @@
 //! Whole sessions on a GPU beside the CPU, repeats, reports, faults.
 
+mod common;
+
+use common::device;
 use glam::{Quat, Vec3};
 use palpate_gpu::{Gpu, GpuError, Piece};
 use palpate_pbd::{
@@ -7,53 +10,10 @@ use palpate_pbd::{
     Shape, ShapeMatching, SkinnedPoints, SoftBody, Solver, TriangleMesh,
 };
 
-fn device() -> Option<Gpu> {
-    let gpu = Gpu::for_checks().expect("a device for checks");
-    if gpu.is_none() {
-        eprintln!("SKIPPED: no GPU adapter; set REQUIRE_GPU=1 to make this a failure");
-    }
-    gpu
-}
-
 const SPACING: f32 = 3.0;
 
-/// A lattice, shaken so that no two particles are as far apart as touching ones at rest, in overlapping ball-shaped
-/// clusters.
 fn block(dims: [usize; 3], stiffness: f32) -> RawBody {
-    let mut positions = Vec::new();
-    let mut random = 12345u32;
-    let mut shake = || {
-        random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        ((random >> 8) as f32 / 16_777_216.0 - 0.5) * 0.2 * SPACING
-    };
-    for z in 0..dims[2] {
-        for y in 0..dims[1] {
-            for x in 0..dims[0] {
-                positions.push([x, y, z].map(|v| v as f32 * SPACING + shake()));
-            }
-        }
-    }
-    let mut clusters = Vec::new();
-    for z in (0..dims[2]).step_by(3) {
-        for y in (0..dims[1]).step_by(3) {
-            for x in (0..dims[0]).step_by(3) {
-                let seed = Vec3::new(x as f32, y as f32, z as f32) * SPACING;
-                let near = |p: &[f32; 3]| Vec3::from(*p).distance(seed) < 2.9 * SPACING;
-                clusters.push(
-                    (0..positions.len() as u32)
-                        .filter(|&i| near(&positions[i as usize]))
-                        .collect(),
-                );
-            }
-        }
-    }
-    RawBody {
-        positions,
-        clusters,
-        stiffness,
-        spacing_mm: SPACING,
-        mass_g: 0.03,
-    }
+    common::shaken_block(dims, SPACING, stiffness, 0.03)
 }
 
 /// A block of 700 particles on a support, pressed by a cuboid that comes down and slides.

@@ -1,58 +1,17 @@
 //! Shaders against their limits and layouts; every kernel against its CPU twin.
 
+#[path = "../../../tests/common/mod.rs"]
+mod common;
 mod shaders;
 mod twins;
 
 use crate::{Collider, Convex, Pose, RawBody, Scene, Shape, SignedDistanceGrid, SoftBody, TriangleMesh};
+use common::device;
 use glam::{Quat, Vec3};
-use palpate_gpu::Gpu;
 
-/// A device of whatever kind, or a loud line.
-fn device() -> Option<Gpu> {
-    let gpu = Gpu::for_checks().expect("a device for checks");
-    if gpu.is_none() {
-        eprintln!("SKIPPED: no GPU adapter; set REQUIRE_GPU=1 to make this a failure");
-    }
-    gpu
-}
-
-/// A block of particles in overlapping ball-shaped clusters; shaken a little, so that nothing is symmetric.
+/// A block whose particles are not symmetric.
 fn block(dims: [usize; 3], spacing: f32) -> SoftBody {
-    let mut positions = Vec::new();
-    let mut random = 12345u32;
-    let mut shake = || {
-        random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        ((random >> 8) as f32 / 16_777_216.0 - 0.5) * 0.2 * spacing
-    };
-    for z in 0..dims[2] {
-        for y in 0..dims[1] {
-            for x in 0..dims[0] {
-                positions.push([x, y, z].map(|v| v as f32 * spacing + shake()));
-            }
-        }
-    }
-    let mut clusters = Vec::new();
-    for z in (0..dims[2]).step_by(3) {
-        for y in (0..dims[1]).step_by(3) {
-            for x in (0..dims[0]).step_by(3) {
-                let seed = Vec3::new(x as f32, y as f32, z as f32) * spacing;
-                let near = |p: &[f32; 3]| Vec3::from(*p).distance(seed) < 2.9 * spacing;
-                clusters.push(
-                    (0..positions.len() as u32)
-                        .filter(|&i| near(&positions[i as usize]))
-                        .collect(),
-                );
-            }
-        }
-    }
-    let raw = RawBody {
-        positions,
-        clusters,
-        stiffness: 0.6,
-        spacing_mm: spacing,
-        mass_g: 0.02,
-    };
-    SoftBody::from_raw(&raw).expect("block")
+    SoftBody::from_raw(&common::shaken_block(dims, spacing, 0.6, 0.02)).expect("block")
 }
 
 /// An open surface of hills and dales as wide as particles, so that contacts lie on faces, edges and vertices.
