@@ -1,17 +1,26 @@
 //! Times of images of a package under a smooth press, and the pictures:
-//! `cargo run --release -p palpate-ultrasound --example image_bench -- PACKAGE [FOLDER]`.
+//! `cargo run --release -p palpate-ultrasound --example image_bench -- PACKAGE [FOLDER [SPLITS]]`; SPLITS is
+//! how often the embedding's tets are split into eight.
 
 use palpate_package::ModelPackage;
-use palpate_ultrasound::{Level, Organ, Probe, ProbePose, Scanner, Settings, TissueTable};
+use palpate_ultrasound::{Level, Organ, Probe, ProbePose, Scanner, Settings, TissueTable, split_tets};
 use std::time::Instant;
 
 type Failure = Box<dyn std::error::Error>;
 
 fn main() -> Result<(), Failure> {
     let mut args = std::env::args().skip(1);
-    let path = args.next().ok_or("usage: bench PACKAGE [FOLDER]")?;
+    let path = args
+        .next()
+        .ok_or("usage: image_bench PACKAGE [FOLDER [SPLITS]]")?;
     let folder = args.next();
-    let package = ModelPackage::read(&path)?;
+    let splits: u32 = args.next().map_or(Ok(0), |a| a.parse())?;
+    let mut package = ModelPackage::read(&path)?;
+    for _ in 0..splits {
+        let mesh = &mut package.embedding;
+        let split = split_tets(&mesh.vertices, &mesh.tets).ok_or("the mesh cannot be split")?;
+        (mesh.vertices, mesh.tets) = split;
+    }
     let tissues = TissueTable::default();
     println!(
         "{} threads, {} tets, {:?} voxels",

@@ -31,6 +31,7 @@ mod settings;
 mod slice;
 mod slice_image;
 mod speckle;
+mod split;
 mod tissue;
 mod vector;
 
@@ -46,4 +47,5 @@ pub use properties::AcousticSource;
 pub use scanner::Scanner;
 pub use settings::{AcousticSettings, Level, Settings};
 pub use slice_image::SliceImage;
+pub use split::split_tets;
 pub use tissue::{HuPoint, Tissue, TissueTable};

@@ -60,26 +60,7 @@ impl Organ {
             return Err(fault("local_origin_mm", format!("{origin_mm:?}"), "finite mm"));
         }
         let mesh = &package.embedding;
-        if mesh.tets.is_empty() {
-            return Err(fault("embedding/tets", "none".into(), "at least one"));
-        }
-        let n = mesh.vertices.len();
-        if let Some(t) = mesh.tets.iter().find(|t| t.iter().any(|&v| v as usize >= n)) {
-            return Err(fault(
-                "embedding/tets",
-                format!("{t:?}"),
-                &format!("vertices below {n}"),
-            ));
-        }
-        for t in &mesh.tets {
-            if barycentric_rows(t.map(|v| wide(mesh.vertices[v as usize]))).is_none() {
-                return Err(fault(
-                    "embedding/tets",
-                    format!("{t:?} of no volume"),
-                    "positive volumes at rest",
-                ));
-            }
-        }
+        check_mesh(&name, &mesh.vertices, &mesh.tets)?;
         let labels = &package.labels;
         let cells = |d: [usize; 3]| d.iter().try_fold(1usize, |n, &v| n.checked_mul(v)).unwrap_or(0);
         let count = cells(labels.dims);
@@ -152,6 +133,22 @@ impl Organ {
         })
     }
 
+    /// The organ with another embedding mesh of its rest shape, local mm: finer than the package's (see
+    /// [`crate::split_tets`]).
+    ///
+    /// # Errors
+    /// No tet, one of vertices that are not there, one without positive volume.
+    pub fn with_embedding(
+        mut self,
+        vertices: &[[f32; 3]],
+        tets: &[[u32; 4]],
+    ) -> Result<Self, UltrasoundError> {
+        check_mesh(&self.name, vertices, tets)?;
+        self.rest = vertices.to_vec();
+        self.tets = tets.to_vec();
+        Ok(self)
+    }
+
     /// Name of the organ.
     pub fn name(&self) -> &str {
         &self.name
@@ -206,6 +203,27 @@ impl Organ {
         self.volume
             .holds(index)
             .then(|| (self.volume.label_at(index), self.volume.hu_at(index)))
+    }
+}
+
+fn check_mesh(organ: &str, vertices: &[[f32; 3]], tets: &[[u32; 4]]) -> Result<(), UltrasoundError> {
+    let fault = |found, expected: &str| UltrasoundError::Package {
+        organ: organ.to_owned(),
+        what: "embedding/tets",
+        found,
+        expected: expected.to_owned(),
+    };
+    if tets.is_empty() {
+        return Err(fault("none".into(), "at least one"));
+    }
+    let n = vertices.len();
+    if let Some(t) = tets.iter().find(|t| t.iter().any(|&v| v as usize >= n)) {
+        return Err(fault(format!("{t:?}"), &format!("vertices below {n}")));
+    }
+    let flat = |t: &&[u32; 4]| barycentric_rows(t.map(|v| wide(vertices[v as usize]))).is_none();
+    match tets.iter().find(flat) {
+        Some(t) => Err(fault(format!("{t:?} of no volume"), "positive volumes at rest")),
+        None => Ok(()),
     }
 }
 
