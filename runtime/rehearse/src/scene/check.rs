@@ -132,6 +132,12 @@ impl SceneSource {
             };
             return Err(self.fault(&key.unwrap_or_else(|| "image".into()), e.to_string()));
         }
+        if image.embedding_splits > 2 {
+            return Err(self.fault(
+                "image.embedding_splits",
+                format!("{}, expected 0 to 2", image.embedding_splits),
+            ));
+        }
         if s.instruments.is_empty() {
             return Err(self.fault(
                 "image",

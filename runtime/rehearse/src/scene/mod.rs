@@ -350,7 +350,7 @@ impl Default for FiducialChoice {
 }
 
 /// The ultrasound image.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ImageSettings {
     /// The instrument that carries the scan plane (its x–z plane, from the front's middle); empty: the first.
@@ -361,6 +361,22 @@ pub struct ImageSettings {
     pub settings: palpate_ultrasound::Settings,
     /// Tissues of labels and their sound.
     pub tissues: TissueTable,
+    /// How often each tet of the mesh that carries the image is split into eight, 0 to 2. The new
+    /// vertices follow the clusters by themselves, so the image is nearer to where the clusters carry each point.
+    pub embedding_splits: u32,
+}
+
+impl Default for ImageSettings {
+    /// One split, because it halves the image's distance from directly skinned points (docs/benchmarks.md).
+    fn default() -> Self {
+        Self {
+            instrument: String::new(),
+            probe: Probe::default(),
+            settings: palpate_ultrasound::Settings::default(),
+            tissues: TissueTable::default(),
+            embedding_splits: 1,
+        }
+    }
 }
 
 /// The 3-D picture.

@@ -6,6 +6,7 @@ use crate::RehearseError;
 use crate::scene::Scene;
 use glam::DVec3;
 use palpate_gpu::{Gpu, wgpu};
+use palpate_package::Embedding;
 use palpate_ultrasound::{Background, GpuScanner, Level, ProbePose, Scanner};
 
 /// The scanner with the instrument that carries it.
@@ -19,7 +20,11 @@ pub(super) struct Imaging {
 
 impl Imaging {
     /// None where the scene asks for no image.
-    pub(super) fn new(scene: &Scene, packages: &[Loaded]) -> Result<Option<Self>, RehearseError> {
+    pub(super) fn new(
+        scene: &Scene,
+        packages: &[Loaded],
+        embeddings: &[Embedding],
+    ) -> Result<Option<Self>, RehearseError> {
         let Some(image) = &scene.image else {
             return Ok(None);
         };
@@ -30,7 +35,11 @@ impl Imaging {
             .unwrap_or(0);
         let organs = packages
             .iter()
-            .map(|p| palpate_ultrasound::Organ::new(&p.model, &image.tissues))
+            .zip(embeddings)
+            .map(|(p, mesh)| {
+                palpate_ultrasound::Organ::new(&p.model, &image.tissues)?
+                    .with_embedding(&mesh.vertices, &mesh.tets)
+            })
             .collect::<Result<Vec<_>, _>>()?;
         Ok(Some(Self {
             scanner: Scanner::new(organs, &image.tissues, image.probe, image.settings.clone())?,

@@ -2,7 +2,9 @@ use crate::RehearseError;
 use crate::render::vertex_normals;
 use crate::scene::{PackageEntry, Scene, SceneSource};
 use glam::Vec3;
-use palpate_package::ModelPackage;
+use palpate_package::{Embedding, ModelPackage};
+use palpate_skinning::{SkinParams, bind};
+use palpate_ultrasound::split_tets;
 use std::path::{Path, PathBuf};
 
 /// A package in memory.
@@ -74,6 +76,32 @@ pub fn load(source: &SceneSource, package: Option<&Path>) -> Result<(Scene, Vec<
 /// The path from the root on, where the system knows it.
 fn absolute(path: &Path) -> PathBuf {
     std::path::absolute(path).unwrap_or_else(|_| path.into())
+}
+
+/// The package's embedding, its tets split `times` times, and the new vertices tied to the clusters as the package's recipe
+/// ties points. A mesh that is too fine or too flat to be split stays as it is.
+///
+/// # Errors
+/// What skinning refuses.
+pub(super) fn embedding(package: &ModelPackage, times: u32) -> Result<Embedding, RehearseError> {
+    let mut out = package.embedding.clone();
+    let wide = |v: &[[f32; 3]]| -> Vec<[f64; 3]> { v.iter().map(|p| p.map(f64::from)).collect() };
+    let centres = wide(&package.clusters.rest_centres);
+    let recipe = package.info.recipe.get("skinning");
+    let params: SkinParams = recipe
+        .and_then(|r| serde_json::from_value(r.clone()).ok())
+        .unwrap_or_default();
+    for _ in 0..times {
+        let Some((vertices, tets)) = split_tets(&out.vertices, &out.tets) else {
+            break;
+        };
+        let (skin, _) = bind(&wide(&vertices[out.vertices.len()..]), &centres, &params)?;
+        out.vertices = vertices;
+        out.tets = tets;
+        out.skin.indices.extend(skin.indices);
+        out.skin.weights.extend(skin.weights);
+    }
+    Ok(out)
 }
 
 /// How deep particles lie below the organ's surface: mean over the surface's vertices of the way along the normal to the

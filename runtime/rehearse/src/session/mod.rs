@@ -91,12 +91,17 @@ impl Session {
             path: scene.name.clone().into(),
         })?;
         let origin = DVec3::from_array(first.model.info.local_origin_mm);
+        let splits = scene.image.as_ref().map_or(0, |i| i.embedding_splits);
+        let embeddings = packages
+            .iter()
+            .map(|p| load::embedding(&p.model, splits))
+            .collect::<Result<Vec<_>, _>>()?;
         let (mut organs, mut bodies) = (Vec::new(), Vec::new());
         for (n, (loaded, entry)) in packages.iter().zip(&scene.packages).enumerate() {
             // Structures are named in the first package only.
             let stiffness = scene.stiffness.clone();
             let fiducials = (n == 0).then_some(scene.fiducials);
-            let (organ, body) = Organ::new(loaded, entry, &stiffness, fiducials, origin)?;
+            let (organ, body) = Organ::new(loaded, &embeddings[n], entry, &stiffness, fiducials, origin)?;
             organs.push(organ);
             bodies.push(body);
         }
@@ -133,7 +138,7 @@ impl Session {
             ..scene.solver.clone()
         };
         let timeline = Timeline::new(&scene, settings.dt_s);
-        let imaging = Imaging::new(&scene, packages)?;
+        let imaging = Imaging::new(&scene, packages, &embeddings)?;
         let bodies = palpate_pbd::Scene::new(bodies, supports.colliders);
         let engine = match device {
             Device::Cpu { threads } => {

@@ -4,7 +4,7 @@ use crate::motion::{RigidPose, rotation};
 use crate::render::{Mesh, vertex_normals};
 use crate::scene::{FiducialChoice, PackageEntry, Stiffness};
 use glam::{DVec3, Vec3};
-use palpate_package::{ModelPackage, Skin, Surface};
+use palpate_package::{Embedding, ModelPackage, Skin, Surface};
 use palpate_pbd::{ClusterFrame, Pose, SkinnedPoints, SoftBody, Solver};
 use palpate_skinning::{SkinParams, bind};
 
@@ -58,9 +58,10 @@ pub(super) struct Organ {
 
 impl Organ {
     /// The organ and its body, placed. `origin` is the world's zero point in patient mm; only organs with `fiducials` are
-    /// followed at points.
+    /// followed at points. `embedding` carries the image.
     pub(super) fn new(
         loaded: &Loaded,
+        embedding: &Embedding,
         entry: &PackageEntry,
         stiffness: &Stiffness,
         fiducials: Option<FiducialChoice>,
@@ -109,8 +110,15 @@ impl Organ {
                 .structures()
                 .map(|s| SkinnedMesh::new(package, s))
                 .collect::<Result<_, _>>()?,
-            embedding: follow(SkinnedPoints::of_embedding(package)?, &package.embedding.vertices),
-            embedding_local: package.embedding.vertices.clone(),
+            embedding: follow(
+                SkinnedPoints::new(
+                    &embedding.vertices,
+                    &embedding.skin,
+                    &package.clusters.rest_centres,
+                )?,
+                &embedding.vertices,
+            ),
+            embedding_local: embedding.vertices.clone(),
             fiducials,
             fiducial_names,
             shift: shift.as_vec3(),
