@@ -44,6 +44,7 @@ pub struct Unloaded {
 /// and the colliders. A scan shows the organ under its own weight; taken as the shape without weight it would sag a second
 /// time. The solver itself is the forward model: rest shapes are moved by what the settled particles are off, until they
 /// settle where the scan has them (the backward displacement method, Bols et al. 2013). Bodies start as they settled.
+/// `watch` hears how many solver steps are done, of how many at most.
 ///
 /// # Errors
 /// As [`Solver::new`].
@@ -53,7 +54,10 @@ pub fn unload(
     settings: &Settings,
     params: &UnloadParams,
     threads: usize,
+    mut watch: impl FnMut(u64, u64),
 ) -> Result<Unloaded, PbdError> {
+    let all = (u64::from(params.rounds) + 1) * u64::from(params.steps);
+    let mut done = 0;
     let mut shapes: Vec<Vec<Vec3>> = bodies
         .iter()
         .map(|b| b.positions.iter().map(|&p| p.into()).collect())
@@ -65,6 +69,8 @@ pub fn unload(
         let mut solver = Solver::with_threads(scene, settings.clone(), threads)?;
         for _ in 0..params.steps {
             solver.step();
+            done += 1;
+            watch(done, all);
         }
         let (mut sum, mut most, mut count) = (0.0f64, 0.0f64, 0usize);
         for ((body, shape), info) in bodies.iter_mut().zip(&mut shapes).zip(solver.bodies()) {

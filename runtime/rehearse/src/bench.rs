@@ -62,7 +62,7 @@ pub fn bench(
         .iter()
         .map(|package| {
             let (scene, loaded) = load(&source, Some(package))?;
-            let mut session = Session::on(device, scene, &loaded)?;
+            let mut session = Session::prepare(device, scene, &loaded, progress)?;
             let steps = session.timeline().steps();
             progress.start(
                 &package.file_stem().unwrap_or_default().to_string_lossy(),

@@ -89,9 +89,10 @@ fn run_scene(args: &RunArgs) -> anyhow::Result<()> {
     let source = SceneSource::read(&args.scene)?;
     let (scene, packages) = load(&source, args.package.as_deref())?;
     let (device, notes) = args.device.device(args.threads)?;
-    let mut session = Session::on(&device, scene, &packages)?;
+    let progress = Progress::counting(args.quiet);
+    let mut session = Session::prepare(&device, scene, &packages, &progress)?;
     session.warn(notes);
-    let report = palpate_rehearse::run(session, &packages, &args.output, &Progress::counting(args.quiet))?;
+    let report = palpate_rehearse::run(session, &packages, &args.output, &progress)?;
     if args.quiet {
         return Ok(());
     }

@@ -360,6 +360,16 @@ fn facts(session: &Session, packages: &[Loaded], report: &RunReport) -> Vec<(Str
             session.contact_distance_mm()
         ),
     ));
+    if let Some(b) = session.balance() {
+        out.push((
+            "rest shape".into(),
+            format!(
+                "sags into the scan's shape under the weight: particles {:.2} mm off in the mean, {:.2} mm at most (without: \
+                 {:.2} and {:.2} mm); found in {} rounds, {:.1} s",
+                b.left_mm[0], b.left_mm[1], b.sag_mm[0], b.sag_mm[1], b.rounds, b.seconds
+            ),
+        ));
+    }
     if session.seat_mm() != 0.0 {
         out.push((
             "settled organ".into(),

@@ -12,7 +12,7 @@ fn unloaded_shapes_sag_into_the_scan() {
     let settings = Settings::default();
     let mut bodies = made();
     let params = UnloadParams::default();
-    let found = unload(&mut bodies, &colliders(), &settings, &params, 2).unwrap();
+    let found = unload(&mut bodies, &colliders(), &settings, &params, 2, |_, _| ()).unwrap();
     assert!(found.sag_mm[0] > 0.3, "nothing sagged: {found:?}");
     assert!(
         found.left_mm[0] < 0.15 * found.sag_mm[0],
@@ -57,6 +57,7 @@ fn a_body_that_nothing_holds_keeps_its_shape() {
         &Settings::default(),
         &UnloadParams::default(),
         1,
+        |_, _| (),
     )
     .unwrap();
     assert!(found.rounds <= 1, "{found:?}");

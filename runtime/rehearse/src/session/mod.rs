@@ -1,5 +1,6 @@
 //! A session: packages, solver, support and instruments, stepped along the timeline.
 
+mod aim;
 mod engine;
 mod geometry;
 mod imaging;
@@ -11,12 +12,13 @@ mod tool;
 pub use engine::Device;
 pub use geometry::{CroppedImage, RestShape};
 pub use load::{Loaded, load};
+pub use support::Balance;
 
-use crate::RehearseError;
 use crate::motion::{RigidPose, Timeline};
 use crate::render::Mesh;
 use crate::scene::{ContactState, Scene};
 use crate::trace::{Contact, StageRow, StepRow, StepTimes, Trace};
+use crate::{Progress, RehearseError};
 use engine::{Engine, GpuEngine};
 use glam::{DVec3, Vec3};
 use imaging::Imaging;
@@ -68,6 +70,7 @@ pub struct Session {
     step: u32,
     /// Way along the axis that seats the pressed instrument on the settled organ, mm.
     seat_mm: f64,
+    balance: Option<Balance>,
     trace: Trace,
     warnings: Vec<String>,
 }
@@ -86,6 +89,19 @@ impl Session {
     /// # Errors
     /// As [`Session::new`]; a GPU that is lost, too small or out of memory.
     pub fn on(device: &Device, scene: Scene, packages: &[Loaded]) -> Result<Self, RehearseError> {
+        Self::prepare(device, scene, packages, &Progress::counting(true))
+    }
+
+    /// As [`Session::on`], with word of how far it is: the search for rest shapes runs the solver.
+    ///
+    /// # Errors
+    /// As [`Session::on`].
+    pub fn prepare(
+        device: &Device,
+        scene: Scene,
+        packages: &[Loaded],
+        progress: &Progress,
+    ) -> Result<Self, RehearseError> {
         let first = packages.first().ok_or_else(|| RehearseError::Unusable {
             problem: "the scene names no package; give one with --package".into(),
             path: scene.name.clone().into(),
@@ -114,7 +130,7 @@ impl Session {
         let contact_mm = load::particle_depth_mm(&first.model);
         let mut supports = support::supports(&scene, first, &organs, &bodies, contact_mm, origin)?;
         let mut warnings = load::cautions(first);
-        warnings.extend(support::balance(
+        let balance = support::balance(
             &scene,
             &mut organs,
             &mut bodies,
@@ -123,7 +139,9 @@ impl Session {
                 Device::Cpu { threads } => *threads,
                 Device::Gpu(_) => 0,
             },
-        )?);
+            progress,
+        )?;
+        warnings.extend(balance.as_ref().and_then(Balance::caution));
         let lead = &organs[0];
         let tools = tools(
             &scene,
@@ -184,6 +202,7 @@ impl Session {
             size,
             step: 0,
             seat_mm: 0.0,
+            balance,
             trace,
             warnings,
         };
@@ -271,6 +290,11 @@ impl Session {
     /// How far the pressed instrument was moved along its axis to touch the settled organ, mm; 0 until it is known.
     pub fn seat_mm(&self) -> f64 {
         self.seat_mm
+    }
+
+    /// How well the organs' rest shapes settle into the scan's; none where the scan's shape is the one without weight.
+    pub fn balance(&self) -> Option<Balance> {
+        self.balance
     }
 
     /// Part of that way that is done after `step`.

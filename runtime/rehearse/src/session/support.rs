@@ -1,8 +1,8 @@
 use super::Loaded;
 use super::organ::Organ;
-use crate::RehearseError;
 use crate::render::{Mesh, vertex_normals};
 use crate::scene::Scene;
+use crate::{Progress, RehearseError};
 use glam::{DVec3, Vec3};
 use palpate_package::Surface;
 use palpate_pbd::{
@@ -10,6 +10,7 @@ use palpate_pbd::{
 };
 use std::io::BufReader;
 use std::path::Path;
+use std::time::Instant;
 
 /// What the organs lie on: colliders, and what is drawn of them. World mm.
 #[derive(Default)]
@@ -110,14 +111,15 @@ fn bed(
 }
 
 /// Gives the organs rest shapes that sag into the scan's, where the scene says that the scan shows them under their
-/// weight. Says so where they still sag.
+/// weight.
 pub(super) fn balance(
     scene: &Scene,
     organs: &mut [Organ],
     bodies: &mut [SoftBody],
     colliders: &[Collider],
     threads: usize,
-) -> Result<Option<String>, RehearseError> {
+    progress: &Progress,
+) -> Result<Option<Balance>, RehearseError> {
     // Nothing else holds organs where the scan has them.
     if scene.support != "cradle" || !scene.gravity.balanced_in_scan {
         return Ok(None);
@@ -126,17 +128,47 @@ pub(super) fn balance(
         gravity_mm_s2: scene.gravity.vector_mm_s2(),
         ..scene.solver.clone()
     };
-    let found = unload(bodies, colliders, &settings, &UnloadParams::default(), threads)?;
+    let params = UnloadParams::default();
+    let before = Instant::now();
+    progress.start("settle", u64::from((params.rounds + 1) * params.steps));
+    let watch = |done, _| progress.step(done);
+    let found = unload(bodies, colliders, &settings, &params, threads, watch)?;
     for (organ, frames) in organs.iter_mut().zip(&found.frames) {
         organ.tie_to(frames);
     }
-    let [mean, most] = found.left_mm;
-    Ok((mean > 0.5).then(|| {
-        format!(
-            "The organ sags by {mean:.1} mm (at most {most:.1} mm) from where the scan has it: no rest shape was found that \
-             its bed holds in place."
-        )
+    Ok(Some(Balance {
+        sag_mm: found.sag_mm,
+        left_mm: found.left_mm,
+        rounds: found.rounds,
+        seconds: before.elapsed().as_secs_f64(),
     }))
+}
+
+/// How well the organs' rest shapes settle into the scan's.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Balance {
+    /// How far particles sag from where the scan has them if its shape is taken as the one without weight: mean and
+    /// largest, mm.
+    pub sag_mm: [f64; 2],
+    /// The same with the rest shapes found.
+    pub left_mm: [f64; 2],
+    /// Corrections made.
+    pub rounds: u32,
+    /// Wall time of the search, s.
+    pub seconds: f64,
+}
+
+impl Balance {
+    /// What the user should know of it.
+    pub(super) fn caution(&self) -> Option<String> {
+        let [mean, most] = self.left_mm;
+        (mean > 0.5).then(|| {
+            format!(
+                "The organ sags by {mean:.1} mm (at most {most:.1} mm) from where the scan has it: no rest shape was found \
+                 that its bed holds in place."
+            )
+        })
+    }
 }
 
 impl Supports {

@@ -1,3 +1,4 @@
+use super::aim::rim;
 use crate::RehearseError;
 use crate::motion::{RigidPose, rotation};
 use crate::render::{Mesh, capsule, polytope};
@@ -78,6 +79,15 @@ impl Form {
         }
     }
 
+    /// How far the body reaches from its axis along x, mm: from 10 (an image is no narrower) to 60.
+    pub(super) fn half_width(&self) -> f64 {
+        (10..=60)
+            .rev()
+            .map(f64::from)
+            .find(|&x| self.front(x, 0.0).is_some())
+            .unwrap_or(10.0)
+    }
+
     /// How far the body reaches along z over (x, y); none beside it.
     fn front(&self, x: f64, y: f64) -> Option<f64> {
         match self {
@@ -119,7 +129,7 @@ pub(super) struct Target<'a> {
 /// The pose of the front's middle at the start. `origin` is the world's zero point in patient mm.
 pub(super) fn start_pose(pose: &StartPose, form: &Form, target: &Target, origin: DVec3) -> RigidPose {
     let axis = -pose.above.unit();
-    let (aimed, along) = aim_point(pose, target);
+    let (aimed, along) = aim_point(pose, form, target);
     let lateral = pose
         .lateral
         .map(|d| d.unit())
@@ -178,7 +188,7 @@ pub(super) fn first_contact(form: &Form, pose: RigidPose, target: &Target) -> Op
 }
 
 /// The point to aim at, and where the image's x axis should point for what is there to be seen.
-fn aim_point(pose: &StartPose, target: &Target) -> (DVec3, Option<DVec3>) {
+fn aim_point(pose: &StartPose, form: &Form, target: &Target) -> (DVec3, Option<DVec3>) {
     let up = pose.above.unit();
     for name in &pose.over {
         let found = match name.as_str() {
@@ -190,7 +200,7 @@ fn aim_point(pose: &StartPose, target: &Target) -> (DVec3, Option<DVec3>) {
                 .map(|p| (p, None)),
             "centre" => Some((middle(target.vertices), None)),
             "rim" => target.structures.first().map(|s| {
-                let (p, d) = rim(&s.1, target, up);
+                let (p, d) = rim(&s.1, form, target, up);
                 (p, Some(d))
             }),
             "structure" => target.structures.first().map(|s| (middle(&s.1), None)),
@@ -208,7 +218,7 @@ fn aim_point(pose: &StartPose, target: &Target) -> (DVec3, Option<DVec3>) {
 }
 
 /// Middle of the bounding box.
-fn middle(v: &[[f32; 3]]) -> DVec3 {
+pub(super) fn middle(v: &[[f32; 3]]) -> DVec3 {
     let (mut lo, mut hi) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
     for &p in v {
         let p = Vec3::from(p).as_dvec3();
@@ -216,32 +226,6 @@ fn middle(v: &[[f32; 3]]) -> DVec3 {
         hi = hi.max(p);
     }
     0.5 * (lo + hi)
-}
-
-/// Where a structure ends towards the bulk of the rest of the organ, and the direction there, seen along `up`: an image
-/// along it shows the structure at one side and the organ at the other.
-fn rim(structure: &[[f32; 3]], target: &Target, up: DVec3) -> (DVec3, DVec3) {
-    let centre = middle(structure);
-    let flat = |v: DVec3| v - up * v.dot(up);
-    let (u, v) = up.any_orthonormal_pair();
-    // Most of the organ's surface lies in this sector beyond the structure's own extent.
-    let wide = |p: &[f32; 3]| flat(Vec3::from(*p).as_dvec3() - centre);
-    let mut best = (0usize, u, 0.0);
-    for k in 0..16 {
-        let angle = std::f64::consts::TAU * f64::from(k) / 16.0;
-        let d = u * angle.cos() + v * angle.sin();
-        let reach = structure.iter().map(|p| wide(p).dot(d)).fold(0.0, f64::max);
-        let beyond = |p: &&[f32; 3]| {
-            let w = wide(p);
-            let along = w.dot(d);
-            along > reach + 5.0 && along > 0.92 * w.length()
-        };
-        let count = target.vertices.iter().filter(beyond).count();
-        if count > best.0 || k == 0 {
-            best = (count, d, reach);
-        }
-    }
-    (centre + best.1 * best.2, best.1)
 }
 
 /// The direction across `axis` in which the points spread most. Its largest part points to the left, back or feet, as
