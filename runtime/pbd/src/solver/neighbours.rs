@@ -49,7 +49,8 @@ pub(crate) struct Neighbours {
     pairs: Vec<u32>,
     /// Whether a row of `near` was full.
     full: Vec<bool>,
-    moved2: Vec<f32>,
+    /// Squares of the two longest ways of a chunk's particles since the lists were made.
+    moved2: Vec<[f32; 2]>,
     stale: bool,
     pub(crate) any: bool,
     pub(crate) rebuilds: u64,
@@ -94,7 +95,7 @@ impl Neighbours {
             width,
             pairs: vec![0; chunks],
             full: vec![false; chunks],
-            moved2: vec![0.0; chunks],
+            moved2: vec![[0.0; 2]; chunks],
             stale: true,
             any: false,
             rebuilds: 0,
@@ -141,16 +142,21 @@ impl Neighbours {
                     *moved2 = base
                         .iter()
                         .zip(x)
-                        .fold(0f32, |m, (a, b)| m.max(a.distance_squared(*b)));
+                        .fold([0.0; 2], |m, (a, b)| longest_two(m, a.distance_squared(*b)));
                 });
-            let moved = self.moved2.iter().fold(0f32, |m, &v| m.max(v)).sqrt();
+            // No pair has come closer by more than the two longest ways together: one restless particle alone then does not
+            // make the lists anew.
+            let [a, b] = self
+                .moved2
+                .iter()
+                .fold([0.0; 2], |m, c| longest_two(longest_two(m, c[0]), c[1]));
             // The smallest skin decides; a hair less, so that rounding cannot hide a pair.
             let skin = how
                 .ranges
                 .iter()
                 .map(|r| r.half_skin)
                 .fold(f32::INFINITY, f32::min);
-            self.stale = moved >= 0.99 * skin || self.full.contains(&true);
+            self.stale = a.sqrt() + b.sqrt() >= 0.99 * (2.0 * skin) || self.full.contains(&true);
         }
         if self.stale {
             self.rebuild(p, how);
@@ -309,7 +315,81 @@ pub(crate) struct ChunkPairs<'a> {
     pub shares: &'a [f32],
 }
 
+fn longest_two(m: [f32; 2], v: f32) -> [f32; 2] {
+    if v > m[0] { [v, m[0]] } else { [m[0], m[1].max(v)] }
+}
+
 /// Room for the candidates of a chunk: a row beyond its width is cut after it was written.
 fn region(width: usize) -> usize {
     (CHUNK * width + 2 * width).next_multiple_of(LANES) + LANES
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Candidates against all pairs while everything drifts a little, one particle jumps to and fro, and later two do.
+    #[test]
+    fn kept_lists_miss_no_pair() {
+        let n = 6;
+        let rest: Vec<Vec3A> = (0..n * n * n)
+            .map(|i| Vec3A::new((i % n) as f32, (i / n % n) as f32, (i / n / n) as f32) * 2.0)
+            .collect();
+        let mut p = Particles {
+            x: rest.clone(),
+            predicted: rest.clone(),
+            // Far apart at rest, so that the rest filter hides nothing.
+            rest: rest.iter().map(|v| *v * 10.0).collect(),
+            inverse_mass: vec![1.0; rest.len()],
+            contact_weight: vec![1.0; rest.len()],
+            body: vec![0; rest.len()],
+            ..Particles::default()
+        };
+        let ranges = [Range {
+            half_contact: 1.0,
+            half_margin: 0.1,
+            half_skin: 0.3,
+        }];
+        let how = PairContact {
+            ranges: &ranges,
+            rest_filter: true,
+            symmetric: false,
+            stabilise_self: true,
+            friction: 0.0,
+            static_friction: 0.0,
+        };
+        let mut lists = Neighbours::new(rest.len(), 64);
+        let mut counts = vec![ClampCounts::default(); rest.len().div_ceil(CHUNK)];
+        let mut alone = 0;
+        for step in 0..120 {
+            let t = step as f32;
+            for (i, v) in p.predicted.iter_mut().enumerate() {
+                *v = rest[i] + Vec3A::new((0.3 * i as f32).sin(), (0.7 * i as f32).cos(), 0.0) * (0.001 * t);
+            }
+            let side = if step % 2 == 0 { 0.5 } else { 0.0 };
+            p.predicted[37].x += side;
+            if step >= 60 {
+                p.predicted[38].x -= side;
+            }
+            lists.find(&p, &how, &mut counts);
+            if step == 59 {
+                alone = lists.rebuilds;
+            }
+            for i in 0..rest.len() {
+                let near = |j: &usize| p.predicted[i].distance_squared(p.predicted[*j]) < 2.2 * 2.2;
+                let all: Vec<u32> = (0..rest.len())
+                    .filter(|&j| j != i)
+                    .filter(near)
+                    .map(|j| j as u32)
+                    .collect();
+                assert_eq!(lists.row(i), all, "particle {i} in step {step}");
+            }
+        }
+        assert!(alone <= 2, "one restless particle made the lists {alone} times");
+        assert!(
+            lists.rebuilds > 30,
+            "two that near each other by more than the skin: {}",
+            lists.rebuilds
+        );
+    }
 }
