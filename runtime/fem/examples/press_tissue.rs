@@ -1,6 +1,6 @@
 //! Holds the back of a package's FEM organ as in a mould, presses it from the front with a probe, lets go, and prints what it does.
 //!
-//! `cargo run --release -p palpate-fem --example press -- PACKAGE [SETTINGS.toml] [FOLDER for VTU files] [LAW]`
+//! `cargo run --release -p palpate-fem --example press_tissue -- PACKAGE [SETTINGS.toml] [FOLDER for VTU files] [LAW]`
 //!
 //! `-` leaves out an argument; LAW is one of `linear`, `rotated_linear`, `corotated`, `neo_hookean`, `stable_neo_hookean`.
 
