@@ -5,10 +5,13 @@
 //! Each organ lies in a cradle and is pressed by a cuboid of 10 × 20 × 50 mm: 120 steps of rest, then 12.38 mm deep in
 //! 270 steps. Surface and embedding vertices are skinned after each step.
 
+mod common;
+
+use common::{block, log_log_slope};
 use glam::Vec3;
 use palpate_package::ModelPackage;
 use palpate_pbd::{
-    Collider, CradleParams, Pose, RawBody, Scene, Settings, Shape, SkinnedPoints, SoftBody, Solver, Timings,
+    Collider, CradleParams, Pose, Scene, Settings, Shape, SkinnedPoints, SoftBody, Solver, Timings,
     TriangleMesh, clearance_mm, cradle,
 };
 use std::error::Error;
@@ -162,50 +165,6 @@ fn table(name: &str, ms: &[f64]) {
     );
 }
 
-/// A block of particles at a spacing of 1 with clusters of the paper's size, on a plane.
-fn block(count: usize) -> RawBody {
-    let side = (count as f64).cbrt().round() as i32;
-    let at = |i: i32, j: i32, k: i32| ((k * side + j) * side + i) as u32;
-    let mut raw = RawBody {
-        stiffness: 0.5,
-        spacing_mm: 1.0,
-        mass_g: 1e-3,
-        ..RawBody::default()
-    };
-    for k in 0..side {
-        for j in 0..side {
-            for i in 0..side {
-                raw.positions.push([i as f32, j as f32, k as f32]);
-            }
-        }
-    }
-    // Centres every 3.33 spacings, radius 3.33: about three clusters a particle.
-    let centres: Vec<f32> = (0..)
-        .map(|n| 1.2 + 3.33 * n as f32)
-        .take_while(|&c| c < side as f32)
-        .collect();
-    for &z in &centres {
-        for &y in &centres {
-            for &x in &centres {
-                let range = |c: f32| (c - 3.33).ceil().max(0.0) as i32..=((c + 3.33) as i32).min(side - 1);
-                let mut members = Vec::new();
-                for k in range(z) {
-                    for j in range(y) {
-                        for i in range(x) {
-                            let d2 = (i as f32 - x).powi(2) + (j as f32 - y).powi(2) + (k as f32 - z).powi(2);
-                            if d2 < 3.33 * 3.33 {
-                                members.push(at(i, j, k));
-                            }
-                        }
-                    }
-                }
-                raw.clusters.push(members);
-            }
-        }
-    }
-    raw
-}
-
 fn grow(settings: &Settings, threads: usize) -> Result<(), Box<dyn Error>> {
     println!(
         "\ngrowth, blocks on a plane, {threads} threads (0: all); shares of neighbours, collision, contacts, matching"
@@ -243,16 +202,9 @@ fn grow(settings: &Settings, threads: usize) -> Result<(), Box<dyn Error>> {
             "  {n:7} particles {c:6} clusters {m:8} memberships  {median:8.2} ms  {}",
             parts.map(|p| format!("{:4.1} %", 100.0 * p)).join(" ")
         );
-        points.push(((n as f64).ln(), median.ln()));
+        points.push((n as f64, median));
     }
-    let tail: Vec<_> = points.iter().filter(|p| p.0 > 9000f64.ln()).copied().collect();
-    let k = tail.len() as f64;
-    let (mx, my) = (
-        tail.iter().map(|p| p.0).sum::<f64>() / k,
-        tail.iter().map(|p| p.1).sum::<f64>() / k,
-    );
-    let slope = tail.iter().map(|p| (p.0 - mx) * (p.1 - my)).sum::<f64>()
-        / tail.iter().map(|p| (p.0 - mx).powi(2)).sum::<f64>();
+    let slope = log_log_slope(&points);
     println!("  log-log slope from 10 000 on: {slope:.3}");
     Ok(())
 }

@@ -7,12 +7,15 @@
 //! and 12.38 mm over 90 steps each. Surface and embedding vertices are skinned in each step. Without `--adapter` or
 //! `--software` a software driver is refused: its times say nothing about GPUs.
 
+mod common;
+
+use common::{block, log_log_slope};
 use glam::Vec3;
 use palpate_gpu::{AdapterKind, Choice, Gpu};
 use palpate_package::ModelPackage;
 use palpate_pbd::{
-    Collider, CradleParams, GpuOptions, GpuSolver, Pose, RawBody, Scene, Settings, Shape, SkinId,
-    SkinnedPoints, SoftBody, Solver, TriangleMesh, clearance_mm, cradle,
+    Collider, CradleParams, GpuOptions, GpuSolver, Pose, Scene, Settings, Shape, SkinId, SkinnedPoints,
+    SoftBody, Solver, TriangleMesh, clearance_mm, cradle,
 };
 use std::error::Error;
 use std::time::Instant;
@@ -255,44 +258,6 @@ impl Case {
     }
 }
 
-/// Particles at a spacing of 1 in clusters of the paper's size and overlap.
-fn block(count: usize) -> RawBody {
-    let side = (count as f64).cbrt().round() as i32;
-    let mut raw = RawBody {
-        stiffness: 0.5,
-        spacing_mm: 1.0,
-        mass_g: 1e-3,
-        ..RawBody::default()
-    };
-    for n in 0..side * side * side {
-        raw.positions
-            .push([n % side, n / side % side, n / side / side].map(|v| v as f32));
-    }
-    let centres = || {
-        (0..)
-            .map(|n| 1.2 + 3.33 * n as f32)
-            .take_while(|&c| c < side as f32)
-    };
-    let near = |c: f32| (c - 3.33).ceil().max(0.0) as i32..=((c + 3.33) as i32).min(side - 1);
-    for z in centres() {
-        for y in centres() {
-            for x in centres() {
-                let mut members = Vec::new();
-                for (k, j) in near(z).flat_map(|k| near(y).map(move |j| (k, j))) {
-                    for i in near(x) {
-                        let at = Vec3::new(i as f32, j as f32, k as f32);
-                        if at.distance(Vec3::new(x, y, z)) < 3.33 {
-                            members.push(((k * side + j) * side + i) as u32);
-                        }
-                    }
-                }
-                raw.clusters.push(members);
-            }
-        }
-    }
-    raw
-}
-
 fn grow(gpu: &Gpu, lanes_per_cluster: u32) -> Result<(), Box<dyn Error>> {
     println!("\ngrowth, blocks on a plane, {lanes_per_cluster} lanes a cluster");
     let mut points = Vec::new();
@@ -319,13 +284,9 @@ fn grow(gpu: &Gpu, lanes_per_cluster: u32) -> Result<(), Box<dyn Error>> {
         ms.sort_by(f64::total_cmp);
         let median = ms[ms.len() / 2];
         println!("  {n:7} particles {c:6} clusters {m:8} memberships  {median:9.3} ms");
-        points.push(((n as f64).ln(), median.ln()));
+        points.push((n as f64, median));
     }
-    let tail: Vec<_> = points.iter().filter(|p| p.0 > 9000f64.ln()).collect();
-    let mean = |f: fn(&(f64, f64)) -> f64| tail.iter().map(|p| f(p)).sum::<f64>() / tail.len() as f64;
-    let (mx, my) = (mean(|p| p.0), mean(|p| p.1));
-    let slope = tail.iter().map(|p| (p.0 - mx) * (p.1 - my)).sum::<f64>()
-        / tail.iter().map(|p| (p.0 - mx).powi(2)).sum::<f64>();
+    let slope = log_log_slope(&points);
     println!("  log-log slope from 10 000 on: {slope:.3}");
     Ok(())
 }

@@ -370,7 +370,8 @@ fn facts(session: &Session, packages: &[Loaded], report: &RunReport) -> Vec<(Str
             ),
         ));
     }
-    if session.seat_mm() != 0.0 {
+    // Less than the last digit shown is none.
+    if session.seat_mm().abs() >= 0.005 {
         out.push((
             "settled organ".into(),
             format!(
