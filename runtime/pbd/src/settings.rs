@@ -58,8 +58,8 @@ pub struct Settings {
     pub rest_filter: bool,
     /// Particle contacts kept per particle and substep; more are counted in the report.
     pub max_particle_contacts: u32,
-    /// Neighbour lists reach so much farther than contacts, of the spacing, and live until a particle has moved half
-    /// of it. Speed only: the contacts are the same.
+    /// Neighbour lists reach so much farther than contacts, of the spacing, and live until more than a few particles have
+    /// moved half of it. Speed only: the contacts are the same.
     pub neighbour_skin_factor: f64,
     /// k of mass scaling m·exp(−k·height) for stacks, 1/mm. The paper gives no number; 0, off.
     pub mass_scaling_per_mm: f64,

@@ -5,11 +5,16 @@ use super::particles::{ClampCounts, Particles};
 use crate::grid::PointGrid;
 use glam::Vec3A;
 use rayon::prelude::*;
+use std::cmp::Ordering::Less;
 
 /// Pairs that are treated at once.
 pub(crate) const LANES: usize = 4;
 /// Share of what only fills up a chunk's candidates.
 const NO_PAIR: f32 = -1.0;
+/// Lists are made anew when more than one of so many particles has left its place; up to that these few search alone.
+const MOVERS_PER: usize = 64;
+/// Bounds of their number: each also asks all the others.
+const MOVERS: [usize; 2] = [16, 512];
 
 /// Contact range of a body.
 #[derive(Clone, Copy, Debug, Default)]
@@ -49,8 +54,11 @@ pub(crate) struct Neighbours {
     pairs: Vec<u32>,
     /// Whether a row of `near` was full.
     full: Vec<bool>,
-    /// Squares of the two longest ways of a chunk's particles since the lists were made.
-    moved2: Vec<[f32; 2]>,
+    /// Particles of each chunk that have gone half a skin or more since the lists were made.
+    restless: Vec<u32>,
+    /// These particles, ascending, and the pairs within range of which they are one side: row, other; ascending.
+    movers: Vec<u32>,
+    extra: Vec<[u32; 2]>,
     stale: bool,
     pub(crate) any: bool,
     pub(crate) rebuilds: u64,
@@ -73,6 +81,23 @@ impl PairContact<'_> {
     fn largest(&self, of: impl Fn(&Range) -> f32) -> f32 {
         2.0 * self.ranges.iter().map(of).fold(0.0, f32::max)
     }
+
+    /// Whether two particles are a pair at all.
+    fn may_touch(&self, p: &Particles, i: usize, j: usize) -> bool {
+        let contact = self.ranges[usize::from(p.body[i])].half_contact
+            + self.ranges[usize::from(p.body[j])].half_contact;
+        let filtered = self.rest_filter
+            && p.body[i] == p.body[j]
+            && p.rest[i].distance_squared(p.rest[j]) < contact * contact;
+        !(filtered || (p.inverse_mass[i] == 0.0 && p.inverse_mass[j] == 0.0))
+    }
+}
+
+impl Range {
+    /// Distance within which particles of two bodies are candidates.
+    fn touch(&self, other: &Self) -> f32 {
+        self.half_contact + other.half_contact + (self.half_margin + other.half_margin)
+    }
 }
 
 impl Neighbours {
@@ -80,6 +105,7 @@ impl Neighbours {
         let near_width = 2 * width;
         let chunks = particles.div_ceil(CHUNK);
         let region = region(width);
+        let movers = particles.div_ceil(MOVERS_PER).clamp(MOVERS[0], MOVERS[1]);
         Self {
             grid: PointGrid::with_capacity(particles),
             base: vec![Vec3A::ZERO; particles],
@@ -95,7 +121,9 @@ impl Neighbours {
             width,
             pairs: vec![0; chunks],
             full: vec![false; chunks],
-            moved2: vec![[0.0; 2]; chunks],
+            restless: vec![0; chunks],
+            movers: Vec::with_capacity(movers),
+            extra: Vec::with_capacity(2 * width * movers),
             stale: true,
             any: false,
             rebuilds: 0,
@@ -131,41 +159,16 @@ impl Neighbours {
             return;
         }
         let x = &p.predicted;
-        if !self.stale {
-            (
-                self.moved2.par_iter_mut(),
-                self.base.par_chunks(CHUNK),
-                x.par_chunks(CHUNK),
-            )
-                .into_par_iter()
-                .for_each(|(moved2, base, x)| {
-                    *moved2 = base
-                        .iter()
-                        .zip(x)
-                        .fold([0.0; 2], |m, (a, b)| longest_two(m, a.distance_squared(*b)));
-                });
-            // No pair has come closer by more than the two longest ways together: one restless particle alone then does not
-            // make the lists anew.
-            let [a, b] = self
-                .moved2
-                .iter()
-                .fold([0.0; 2], |m, c| longest_two(longest_two(m, c[0]), c[1]));
-            // The smallest skin decides; a hair less, so that rounding cannot hide a pair.
-            let skin = how
-                .ranges
-                .iter()
-                .map(|r| r.half_skin)
-                .fold(f32::INFINITY, f32::min);
-            self.stale = a.sqrt() + b.sqrt() >= 0.99 * (2.0 * skin) || self.full.contains(&true);
-        }
-        if self.stale {
+        self.extra.clear();
+        if self.stale || self.full.contains(&true) || !self.follow(p, how) {
             self.rebuild(p, how);
         }
         let (near, near_first, near_count) = (&self.near, &self.near_first, &self.near_count);
         let (near_region, width) = (CHUNK * self.near_width, self.width);
+        let extra = self.extra.as_slice();
         // With one body the range is the same for all pairs.
         let uniform = (how.ranges.len() == 1).then(|| {
-            let range = 2.0 * (how.ranges[0].half_contact + how.ranges[0].half_margin);
+            let range = how.ranges[0].touch(&how.ranges[0]);
             range * range
         });
         (
@@ -180,6 +183,7 @@ impl Neighbours {
             .enumerate()
             .for_each(|(chunk, (others, owners, first, count, pairs, counts))| {
                 let near = &near[chunk * near_region..(chunk + 1) * near_region];
+                let mut extra = &extra[extra.partition_point(|e| (e[0] as usize) < chunk * CHUNK)..];
                 let mut end = 0;
                 for k in 0..count.len() {
                     let i = chunk * CHUNK + k;
@@ -201,11 +205,16 @@ impl Neighbours {
                         None => {
                             let a = &how.ranges[usize::from(p.body[i])];
                             for &j in near {
-                                let b = &how.ranges[usize::from(p.body[j as usize])];
-                                let range = a.half_contact + a.half_margin + (b.half_contact + b.half_margin);
+                                let range = a.touch(&how.ranges[usize::from(p.body[j as usize])]);
                                 take(j, here.distance_squared(x[j as usize]), range * range);
                             }
                         }
+                    }
+                    let more = extra.partition_point(|e| e[0] as usize == i);
+                    if more > 0 {
+                        end = merge(&extra[..more], others, begin, end);
+                        owners[begin..end].fill(k as u8);
+                        extra = &extra[more..];
                     }
                     if end - begin > width {
                         counts.particle_contacts += (end - begin - width) as u64;
@@ -248,6 +257,70 @@ impl Neighbours {
             });
     }
 
+    /// Finds the particles that have left the place at which the lists saw them, and their pairs at the predicted
+    /// positions; false where they are too many.
+    ///
+    /// Two particles that are both less than half a skin off have their pair in the lists. A mover finds the others
+    /// among the places of that time, from which these are less than half a skin off, and movers find each other.
+    fn follow(&mut self, p: &Particles, how: &PairContact) -> bool {
+        let x = &p.predicted;
+        // A hair less, so that rounding cannot hide a pair.
+        let limit2 = |i: usize| {
+            let limit = 0.99 * how.ranges[usize::from(p.body[i])].half_skin;
+            limit * limit
+        };
+        // What is no number is off as well.
+        let moved =
+            |i: usize, base: &Vec3A| base.distance_squared(x[i]).partial_cmp(&limit2(i)) != Some(Less);
+        (self.restless.par_iter_mut(), self.base.par_chunks(CHUNK))
+            .into_par_iter()
+            .enumerate()
+            .for_each(|(chunk, (restless, base))| {
+                let here = (chunk * CHUNK..).zip(base);
+                *restless = here.map(|(i, b)| u32::from(moved(i, b))).sum();
+            });
+        let all: usize = self.restless.iter().map(|n| *n as usize).sum();
+        if all > self.movers.capacity() {
+            return false;
+        }
+        let Self { movers, extra, .. } = self;
+        movers.clear();
+        for (chunk, base) in self.base.chunks(CHUNK).enumerate() {
+            if self.restless[chunk] > 0 {
+                let here = (chunk * CHUNK..).zip(base);
+                movers.extend(here.filter(|(i, b)| moved(*i, b)).map(|(i, _)| i as u32));
+            }
+        }
+        let meet = |i: u32, j: u32| {
+            let (a, b) = (i as usize, j as usize);
+            let range = how.ranges[usize::from(p.body[a])].touch(&how.ranges[usize::from(p.body[b])]);
+            i != j && x[a].distance_squared(x[b]) < range * range && how.may_touch(p, a, b)
+        };
+        for &i in &*movers {
+            self.grid.around(x[i as usize], |j, _| {
+                if meet(i, j) && movers.binary_search(&j).is_err() {
+                    if extra.len() + 2 > extra.capacity() {
+                        return false;
+                    }
+                    extra.extend([[i, j], [j, i]]);
+                }
+                true
+            });
+            for &j in &*movers {
+                if meet(i, j) && extra.len() < extra.capacity() {
+                    extra.push([i, j]);
+                }
+            }
+        }
+        // Full: perhaps there were more.
+        if extra.len() + 2 > extra.capacity() {
+            extra.clear();
+            return false;
+        }
+        extra.sort_unstable();
+        true
+    }
+
     fn rebuild(&mut self, p: &Particles, how: &PairContact) {
         self.stale = false;
         self.rebuilds += 1;
@@ -278,15 +351,11 @@ impl Neighbours {
                             return true;
                         }
                         let b = &how.ranges[usize::from(p.body[j])];
-                        let contact = a.half_contact + b.half_contact;
-                        let range = contact + (a.half_margin + b.half_margin) + (a.half_skin + b.half_skin);
+                        let range = a.touch(b) + (a.half_skin + b.half_skin);
                         if x[i].distance_squared(y) >= range * range {
                             return true;
                         }
-                        let filtered = how.rest_filter
-                            && p.body[i] == p.body[j]
-                            && p.rest[i].distance_squared(p.rest[j]) < contact * contact;
-                        if filtered || (p.inverse_mass[i] == 0.0 && p.inverse_mass[j] == 0.0) {
+                        if !how.may_touch(p, i, j) {
                             return true;
                         }
                         if n == width {
@@ -315,8 +384,19 @@ pub(crate) struct ChunkPairs<'a> {
     pub shares: &'a [f32],
 }
 
-fn longest_two(m: [f32; 2], v: f32) -> [f32; 2] {
-    if v > m[0] { [v, m[0]] } else { [m[0], m[1].max(v)] }
+/// Adds those pairs of a row that it lacks; `row[begin..end]` is ascending and stays so. Returns the new end.
+///
+/// What does not fit any more is as far beyond a row's width as a row may be written.
+fn merge(extra: &[[u32; 2]], row: &mut [u32], begin: usize, end: usize) -> usize {
+    let mut last = end;
+    for &[_, j] in extra {
+        if let (Err(_), Some(free)) = (row[begin..end].binary_search(&j), row.get_mut(last)) {
+            *free = j;
+            last += 1;
+        }
+    }
+    row[begin..last].sort_unstable();
+    last
 }
 
 /// Room for the candidates of a chunk: a row beyond its width is cut after it was written.
@@ -328,68 +408,91 @@ fn region(width: usize) -> usize {
 mod tests {
     use super::*;
 
-    /// Candidates against all pairs while everything drifts a little, one particle jumps to and fro, and later two do.
+    /// Candidates against all pairs, with two kinds of particles: all drift slowly, a few leap far and back or stay
+    /// where they went, and in the end all are on the move.
     #[test]
     fn kept_lists_miss_no_pair() {
-        let n = 6;
-        let rest: Vec<Vec3A> = (0..n * n * n)
-            .map(|i| Vec3A::new((i % n) as f32, (i / n % n) as f32, (i / n / n) as f32) * 2.0)
+        let n = 12;
+        let places: Vec<Vec3A> = (0..n * n * n)
+            .map(|i| Vec3A::new((i % n) as f32, (i / n % n) as f32, (i / n / n) as f32) * 1.9)
             .collect();
-        let mut p = Particles {
-            x: rest.clone(),
-            predicted: rest.clone(),
-            // Far apart at rest, so that the rest filter hides nothing.
-            rest: rest.iter().map(|v| *v * 10.0).collect(),
-            inverse_mass: vec![1.0; rest.len()],
-            contact_weight: vec![1.0; rest.len()],
-            body: vec![0; rest.len()],
-            ..Particles::default()
+        let count = places.len();
+        let ranges =
+            [(0.9, 0.05, 0.2), (1.1, 0.1, 0.3)].map(|(half_contact, half_margin, half_skin)| Range {
+                half_contact,
+                half_margin,
+                half_skin,
+            });
+        let mut random = 1u32;
+        let mut uniform = move || {
+            random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (random >> 8) as f32 / (1 << 24) as f32
         };
-        let ranges = [Range {
-            half_contact: 1.0,
-            half_margin: 0.1,
-            half_skin: 0.3,
-        }];
-        let how = PairContact {
-            ranges: &ranges,
-            rest_filter: true,
-            symmetric: false,
-            stabilise_self: true,
-            friction: 0.0,
-            static_friction: 0.0,
-        };
-        let mut lists = Neighbours::new(rest.len(), 64);
-        let mut counts = vec![ClampCounts::default(); rest.len().div_ceil(CHUNK)];
-        let mut alone = 0;
-        for step in 0..120 {
-            let t = step as f32;
-            for (i, v) in p.predicted.iter_mut().enumerate() {
-                *v = rest[i] + Vec3A::new((0.3 * i as f32).sin(), (0.7 * i as f32).cos(), 0.0) * (0.001 * t);
+        for bodies in 1..=2usize {
+            let mut p = Particles {
+                x: places.clone(),
+                predicted: places.clone(),
+                // Some rest pairs overlap.
+                rest: places.iter().map(|v| *v * 1.04).collect(),
+                inverse_mass: (0..count).map(|i| f32::from(u8::from(i % 7 > 1))).collect(),
+                contact_weight: vec![1.0; count],
+                body: (0..count).map(|i| (i / 50 % bodies) as u16).collect(),
+                ..Particles::default()
+            };
+            let how = PairContact {
+                ranges: &ranges[..bodies],
+                rest_filter: true,
+                symmetric: false,
+                stabilise_self: true,
+                friction: 0.0,
+                static_friction: 0.0,
+            };
+            let mut lists = Neighbours::new(count, 64);
+            let mut counts = vec![ClampCounts::default(); count.div_ceil(CHUNK)];
+            let mut gone = vec![Vec3A::ZERO; count];
+            let mut leaps = 0;
+            for step in 0..60 {
+                if step < 40 {
+                    // Ten at most are away at a time; pairs of them start side by side.
+                    if step % 4 == 0 {
+                        gone.fill(Vec3A::ZERO);
+                    }
+                    for _ in 0..2 {
+                        let i = (uniform() * (count - 2) as f32) as usize;
+                        let way = Vec3A::new(uniform() - 0.5, uniform() - 0.5, uniform() - 0.5) * 12.0;
+                        (gone[i], gone[i + 1]) = (way, -way);
+                    }
+                } else {
+                    leaps = if step == 40 { lists.rebuilds } else { leaps };
+                    for (g, v) in gone.iter_mut().zip(&places) {
+                        *g = Vec3A::new(v.y, -v.x, 0.0) * (0.03 * (step - 40) as f32);
+                    }
+                }
+                for (i, v) in p.predicted.iter_mut().enumerate() {
+                    let drift = Vec3A::new((0.3 * i as f32).sin(), (0.7 * i as f32).cos(), 0.0);
+                    *v = places[i] + gone[i] + drift * (0.001 * step as f32);
+                }
+                lists.find(&p, &how, &mut counts);
+                for i in 0..count {
+                    let all: Vec<u32> = (0..count)
+                        .filter(|&j| {
+                            let range =
+                                how.ranges[usize::from(p.body[i])].touch(&how.ranges[usize::from(p.body[j])]);
+                            j != i
+                                && p.predicted[i].distance_squared(p.predicted[j]) < range * range
+                                && how.may_touch(&p, i, j)
+                        })
+                        .map(|j| j as u32)
+                        .collect();
+                    assert_eq!(lists.row(i), all, "{bodies} bodies, particle {i} in step {step}");
+                    let chunk = lists.chunk(i / CHUNK);
+                    let mine = chunk.owners.iter().zip(chunk.shares);
+                    let mine = mine.filter(|(o, s)| usize::from(**o) == i % CHUNK && **s >= 0.0);
+                    assert_eq!(mine.count(), all.len());
+                }
             }
-            let side = if step % 2 == 0 { 0.5 } else { 0.0 };
-            p.predicted[37].x += side;
-            if step >= 60 {
-                p.predicted[38].x -= side;
-            }
-            lists.find(&p, &how, &mut counts);
-            if step == 59 {
-                alone = lists.rebuilds;
-            }
-            for i in 0..rest.len() {
-                let near = |j: &usize| p.predicted[i].distance_squared(p.predicted[*j]) < 2.2 * 2.2;
-                let all: Vec<u32> = (0..rest.len())
-                    .filter(|&j| j != i)
-                    .filter(near)
-                    .map(|j| j as u32)
-                    .collect();
-                assert_eq!(lists.row(i), all, "particle {i} in step {step}");
-            }
+            assert_eq!(leaps, 1, "a few restless particles made the lists anew");
+            assert!(lists.rebuilds > 15, "all on the move: {}", lists.rebuilds);
         }
-        assert!(alone <= 2, "one restless particle made the lists {alone} times");
-        assert!(
-            lists.rebuilds > 30,
-            "two that near each other by more than the skin: {}",
-            lists.rebuilds
-        );
     }
 }
