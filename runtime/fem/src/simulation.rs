@@ -284,6 +284,11 @@ impl Simulation {
         Ok(())
     }
 
+    /// Whether a node is held in any direction.
+    pub fn is_held(&self, node: u32) -> bool {
+        self.holds.get(node as usize).is_some_and(Option::is_some)
+    }
+
     /// Where a held node is to be at the end of the coming step, mm (its held directions only).
     ///
     /// # Errors

@@ -81,6 +81,36 @@ pub enum NeedleError {
         /// Residual asked for.
         tolerance: f64,
     },
+    /// The tissue refused a change.
+    #[error("tissue: {0}")]
+    Tissue(#[from] palpate_fem::FemError),
+    /// A place of the tip that no tet holds.
+    #[error(
+        "the tip's place {point:?} mm (material) is not in the tissue: the needle has left through the far side, or moved too far in one step"
+    )]
+    OutsideTissue {
+        /// Material place, mm.
+        point: [f64; 3],
+    },
+    /// The mesh at the tip belongs to another needle.
+    #[error(
+        "the tip can only go on by changing the mesh around node {node}, which is on another needle's track: keep needles at least two elements apart"
+    )]
+    TrackConflict {
+        /// Node of the other track.
+        node: u32,
+    },
+    /// A track without nodes.
+    #[error("the needle is not in the tissue: puncture the surface first")]
+    TrackEmpty,
+    /// A node of the track that the mesh does not hold as it should.
+    #[error(
+        "node {node} of the needle's track has lost its tets: only the track may change the mesh around it"
+    )]
+    TrackBroken {
+        /// Node slot.
+        node: u32,
+    },
 }
 
 /// `Ok` where `ok`, else the parameter error.

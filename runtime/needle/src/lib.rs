@@ -5,7 +5,8 @@
 //! ([`Loads`]).
 //! Makes: its motion, alone ([`Rod::step`], [`Rod::equilibrium`]) or as the block-banded part of a system coupled with tissue
 //! ([`Rod::begin_step`], [`StepSystem`], [`Rod::finish_step`]); interpolation of its quantities when its nodes change; the
-//! friction states of nodes shared with tissue ([`solve_stick_slip`]).
+//! friction states of nodes shared with tissue ([`solve_stick_slip`]); nodes and edges of the tissue's mesh along the needle
+//! ([`Track`]).
 //! Refuses: parameters out of range, nodes that make no needle, a needle bent back on itself, more retraction than there is.
 //!
 //! Units: mm, g, s; so force is µN, stress Pa, energy nJ.
@@ -19,6 +20,7 @@ mod frame;
 mod params;
 mod rod;
 mod stick_slip;
+mod track;
 
 pub use akima::Akima;
 pub use banded::{BandFactor, BlockBand};
@@ -34,3 +36,4 @@ pub use stick_slip::{
     FrictionLimit, FrictionState, StickSlipOutcome, StickSlipParams, StickSlipSystem, carry_states,
     solve_stick_slip,
 };
+pub use track::{Displaced, LeaveReport, Operation, Track, TrackParams, TrackReport, locate};

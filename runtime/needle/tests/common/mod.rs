@@ -1,0 +1,3 @@
+//! Bodies and checks that several tests use.
+
+pub mod track;

@@ -1,0 +1,211 @@
+//! Blocks of tets, and what must hold of them while a needle is inside.
+#![allow(dead_code)]
+
+use glam::{DMat3, DVec3};
+use palpate_fem::{Material, NodeState, Settings, Simulation, TissueMesh};
+use palpate_needle::{Track, locate};
+use std::collections::BTreeMap;
+
+/// A cube of `n` cells a side, each cut into six tets around its diagonal; corner at the origin, `size` mm a side. Regions by the
+/// centroid of each tet.
+pub fn block(size: f64, n: usize, region: &dyn Fn(DVec3) -> u16) -> Simulation {
+    let at = |c: [usize; 3]| ((c[2] * (n + 1) + c[1]) * (n + 1) + c[0]) as u32;
+    let (mut points, mut tets, mut regions) = (Vec::new(), Vec::new(), Vec::new());
+    for k in 0..=n {
+        for j in 0..=n {
+            for i in 0..=n {
+                points.push([i, j, k].map(|x| size * x as f64 / n as f64));
+            }
+        }
+    }
+    for cell in 0..n * n * n {
+        for path in [[0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 2, 1], [2, 1, 0], [1, 0, 2]] {
+            let mut c = [cell % n, cell / n % n, cell / n / n];
+            let mut tet = [at(c); 4];
+            for (k, axis) in path.into_iter().enumerate() {
+                c[axis] += 1;
+                tet[k + 1] = at(c);
+            }
+            let p = tet.map(|n| DVec3::from_array(points[n as usize]));
+            if (p[1] - p[0]).dot((p[2] - p[0]).cross(p[3] - p[0])) < 0.0 {
+                tet.swap(2, 3);
+            }
+            tets.push(tet);
+            regions.push(region((p[0] + p[1] + p[2] + p[3]) / 4.0));
+        }
+    }
+    let most = regions.iter().copied().max().unwrap_or(0);
+    let mesh = TissueMesh::new(&points, &tets, &regions).unwrap();
+    Simulation::new(
+        mesh,
+        vec![Material::default(); most as usize + 1],
+        Settings::default(),
+    )
+    .unwrap()
+}
+
+/// Mean edge length, mm.
+pub fn edge_mm(sim: &Simulation) -> f64 {
+    let rest = sim.mesh().rest();
+    let (mut sum, mut count) = (0.0, 0.0);
+    for (_, t) in sim.mesh().tets() {
+        for i in 1..4 {
+            for j in 0..i {
+                sum += rest[t.corners[i] as usize].distance(rest[t.corners[j] as usize]);
+                count += 1.0;
+            }
+        }
+    }
+    sum / count
+}
+
+/// State of the tissue at a world point.
+pub fn state_at(sim: &Simulation, point: DVec3) -> NodeState {
+    let (slot, w) = locate(sim, point, 0).unwrap_or_else(|| panic!("{point} is outside"));
+    let mut state = NodeState::default();
+    for (n, w) in sim.mesh().tet(slot).unwrap().corners.into_iter().zip(w) {
+        let n = n as usize;
+        state.rest += sim.mesh().rest()[n] * w;
+        state.velocity += sim.velocities()[n] * w;
+        state.acceleration += sim.accelerations()[n] * w;
+    }
+    state.position = point;
+    state
+}
+
+/// What a mesh was like at the start.
+pub struct Watch {
+    tets: Vec<([u32; 4], u16)>,
+    rest: Vec<DVec3>,
+    volumes: BTreeMap<u16, f64>,
+    /// Boundary and interface area by pair of regions.
+    areas: BTreeMap<(u16, u16), f64>,
+}
+
+fn connectivity(sim: &Simulation) -> Option<Vec<([u32; 4], u16)>> {
+    let mesh = sim.mesh();
+    let mut tets = Vec::new();
+    for (_, t) in mesh.tets() {
+        let mut corners = [0; 4];
+        for (c, n) in corners.iter_mut().zip(t.corners) {
+            *c = mesh.input_node(n)?;
+        }
+        tets.push((corners, t.region));
+    }
+    tets.sort_unstable();
+    Some(tets)
+}
+
+fn originals(sim: &Simulation) -> Vec<DVec3> {
+    let slots = sim.mesh().slots_of_input();
+    slots.into_iter().map(|s| sim.mesh().rest()[s as usize]).collect()
+}
+
+fn volumes(sim: &Simulation) -> BTreeMap<u16, f64> {
+    let rest = sim.mesh().rest();
+    let mut volumes = BTreeMap::new();
+    for (_, t) in sim.mesh().tets() {
+        let [a, b, c, d] = t.corners.map(|n| rest[n as usize]);
+        let volume = (b - a).dot((c - a).cross(d - a)) / 6.0;
+        assert!(volume > 0.0, "{t:?} has volume {volume}");
+        *volumes.entry(t.region).or_insert(0.0) += volume;
+    }
+    volumes
+}
+
+/// Area where each pair of regions meets (equal numbers: the outside); any face with more than two tets fails.
+fn areas(sim: &Simulation) -> BTreeMap<(u16, u16), f64> {
+    let mut faces: BTreeMap<[u32; 3], Vec<u16>> = BTreeMap::new();
+    for (_, t) in sim.mesh().tets() {
+        let [a, b, c, d] = t.corners;
+        for mut f in [[b, c, d], [a, c, d], [a, b, d], [a, b, c]] {
+            f.sort_unstable();
+            faces.entry(f).or_default().push(t.region);
+        }
+    }
+    let rest = sim.mesh().rest();
+    let mut areas = BTreeMap::new();
+    for (f, mut regions) in faces {
+        assert!(regions.len() <= 2, "face {f:?} in {} tets", regions.len());
+        regions.sort_unstable();
+        let pair = (regions[0], regions[regions.len() - 1]);
+        if regions.len() == 1 || pair.0 != pair.1 {
+            let [a, b, c] = f.map(|n| rest[n as usize]);
+            *areas.entry(pair).or_insert(0.0) += 0.5 * (b - a).cross(c - a).length();
+        }
+    }
+    areas
+}
+
+impl Watch {
+    pub fn new(sim: &Simulation) -> Self {
+        Self {
+            tets: connectivity(sim).unwrap(),
+            rest: originals(sim),
+            volumes: volumes(sim),
+            areas: areas(sim),
+        }
+    }
+
+    /// Volumes of regions, areas of surface and interfaces, all tets upright, the chain joined by edges.
+    pub fn check(&self, sim: &Simulation, track: &Track) {
+        for (found, wanted) in [(volumes(sim), &self.volumes)] {
+            assert_eq!(found.len(), wanted.len());
+            for (region, v) in found {
+                assert!(
+                    (v - wanted[&region]).abs() < 1e-12 * wanted[&region],
+                    "region {region}: {v}"
+                );
+            }
+        }
+        let found = areas(sim);
+        assert_eq!(found.len(), self.areas.len());
+        for (pair, a) in found {
+            assert!(
+                (a - self.areas[&pair]).abs() < 1e-11 * a,
+                "{pair:?}: {a} not {}",
+                self.areas[&pair]
+            );
+        }
+        let mesh = sim.mesh();
+        for w in track.nodes().windows(2) {
+            let joined = mesh
+                .around(w[0])
+                .iter()
+                .any(|e| mesh.tet(e.tet).unwrap().corners.contains(&w[1]));
+            assert!(joined, "{w:?} are not joined");
+        }
+        let mut nodes = track.nodes().to_vec();
+        nodes.sort_unstable();
+        nodes.dedup();
+        assert_eq!(nodes.len(), track.nodes().len());
+    }
+
+    /// Everything as it was, to the bit.
+    pub fn check_restored(&self, sim: &Simulation) {
+        assert!(connectivity(sim).unwrap() == self.tets, "connectivity differs");
+        assert!(originals(sim) == self.rest, "places differ");
+    }
+
+    /// Smallest and largest dihedral angle, degrees.
+    pub fn angles(&self, sim: &Simulation) -> (f64, f64) {
+        let rest = sim.mesh().rest();
+        let (mut least, mut most) = (180.0f64, 0.0f64);
+        for (_, t) in sim.mesh().tets() {
+            let x = t.corners.map(|n| rest[n as usize]);
+            let g = DMat3::from_cols(x[1] - x[0], x[2] - x[0], x[3] - x[0])
+                .inverse()
+                .transpose();
+            let mut n = [-(g.x_axis + g.y_axis + g.z_axis), g.x_axis, g.y_axis, g.z_axis];
+            n = n.map(DVec3::normalize);
+            for i in 1..4 {
+                for j in 0..i {
+                    let angle = (-n[i].dot(n[j])).clamp(-1.0, 1.0).acos().to_degrees();
+                    least = least.min(angle);
+                    most = most.max(angle);
+                }
+            }
+        }
+        (least, most)
+    }
+}
