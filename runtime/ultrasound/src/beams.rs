@@ -1,7 +1,7 @@
 //! Levels 2 and 3: everything that happens on scan lines. Arrays are line by line, samples along a line contiguous; a
 //! sample is half a wavelength.
 
-use crate::coverage::{self, NONE};
+use crate::coverage::{self, NONE, Reach};
 use crate::cut::{Cut, Polygon, Ray};
 use crate::lateral::Lateral;
 use crate::organ::{Organ, Volume};
@@ -9,7 +9,7 @@ use crate::properties::{Classes, Properties, of_tissue};
 use crate::rays::{Neighbours, RayModel};
 use crate::scan_conversion::ScanConversion;
 use crate::slice::{self, Scene};
-use crate::speckle::{self, filter, filtered_power, gaussian, rest_of};
+use crate::speckle::{self, Pulse, filter, gaussian, rest_of};
 use crate::vector::{add, apply, apply_linear, scale, sub};
 use crate::{Background, Level, PixelGrid, Probe, ProbePose, Settings, Source, TissueTable, UltrasoundError};
 use rayon::prelude::*;
@@ -27,13 +27,15 @@ pub(crate) struct Beams {
     classes: Vec<Classes>,
     fill: Properties,
     model: RayModel,
-    /// Envelope of the pulse along the line, `[d]` for ±d samples: for speckle and for interfaces, of sum 1.
-    pulse: [Vec<f32>; 2],
+    /// Envelope of the pulse along the line for speckle.
+    noise: Pulse,
+    /// The same for interfaces, `[d]` for ±d samples, of sum 1.
+    pulse: Vec<f32>,
     lateral: Lateral,
     conversion: ScanConversion,
     pub(crate) cuts: Vec<Cut>,
-    /// Per plane, per polygon: between which scan lines it lies.
-    reach: Vec<Vec<[f32; 2]>>,
+    /// Per plane.
+    reach: Vec<Reach>,
     /// Per line, per plane, per sample.
     polygon: Vec<u32>,
     source: Vec<u8>,
@@ -41,7 +43,8 @@ pub(crate) struct Beams {
     contact: Vec<bool>,
     amplitude: Vec<f32>,
     interface: Vec<f32>,
-    /// Per fine line: polygons of the plane at work; the scatterers' in phase and quadrature samples, drawn and filtered.
+    /// Per fine line: polygons of the plane at work; the scatterers' in phase and quadrature samples, drawn at every other
+    /// sample (with room for the pulse on either side) and filtered.
     fine_polygon: Vec<u32>,
     drawn: Vec<f32>,
     filtered: Vec<f32>,
@@ -99,12 +102,12 @@ impl Beams {
             w.iter().map(|v| v / sum).collect::<Vec<f64>>()
         };
         let axial_mm = a.axial_sigma_wavelengths * wavelength;
-        let pulses = [pulse(rest_of(axial_mm, wavelength)), pulse(axial_mm)];
-        let axial_power = filtered_power(&pulses[0], step_mm / wavelength);
-        let lateral = Lateral::new(probe, &a, samples, step_mm, wavelength, axial_power);
+        let noise = Pulse::new(&pulse(rest_of(axial_mm, wavelength)), step_mm / wavelength);
+        let lateral = Lateral::new(probe, &a, samples, step_mm, wavelength);
         let n = lines * samples;
-        let fine = ((lines - 1) * lateral.sub + 1) * samples;
+        let fine = (lines - 1) * lateral.sub + 1;
         let fine = if settings.level >= Level::BMode { fine } else { 0 };
+        let drawn = samples.div_ceil(2) + 2 * noise.margin();
         Ok(Self {
             samples,
             step_mm,
@@ -117,20 +120,21 @@ impl Beams {
                 frequency_mhz: probe.frequency_mhz,
                 settings: a,
             },
-            pulse: pulses.map(|w| w.iter().map(|&v| v as f32).collect()),
+            noise,
+            pulse: pulse(axial_mm).iter().map(|&v| v as f32).collect(),
             lateral,
             conversion: ScanConversion::new(probe, grid, samples, step_mm),
             cuts: vec![Cut::default(); probe.planes],
-            reach: vec![Vec::new(); probe.planes],
+            reach: vec![Reach::default(); probe.planes],
             polygon: vec![NONE; n * probe.planes],
             source: vec![0; n],
             properties: vec![[0.0; 4]; n],
             contact: vec![false; lines],
             amplitude: vec![0.0; n],
             interface: vec![0.0; n],
-            fine_polygon: vec![NONE; fine],
-            drawn: vec![0.0; 2 * fine],
-            filtered: vec![0.0; 2 * fine],
+            fine_polygon: vec![NONE; fine * samples],
+            drawn: vec![0.0; fine * 2 * drawn],
+            filtered: vec![0.0; fine * 2 * samples],
             smooth: vec![0.0; n],
             display: vec![0.0; n],
             envelope: vec![0.0; n],
@@ -168,7 +172,7 @@ impl Beams {
             .zip(&self.planes)
             .for_each(|((cut, reach), &(offset, ..))| {
                 cut.update(scene.organs, deformed, &pose.shifted(offset));
-                coverage::lines(cut, probe, reach);
+                reach.update(cut, probe);
             });
         self.sample(scene, probe, pose);
         self.propagate(probe);
@@ -267,8 +271,10 @@ impl Beams {
     /// Scatterers along each line, filtered by the pulse.
     fn scatter(&mut self, scene: &Scene, probe: &Probe, pose: &ProbePose) {
         let (m, step_mm, sub) = (self.samples, self.step_mm, self.lateral.sub);
-        let (planes, cuts, reach, pulse) = (&self.planes, &self.cuts, &self.reach, &self.pulse);
+        let (planes, cuts, reach) = (&self.planes, &self.cuts, &self.reach);
+        let (pulse, noise) = (&self.pulse, &self.noise);
         let (properties, amplitude) = (&self.properties, &self.amplitude);
+        let (margin, half) = (noise.margin(), m.div_ceil(2));
         let lattice = Lattice {
             per_mm: 1.0 / probe.wavelength_mm(),
             seed: self.model.settings.seed,
@@ -276,9 +282,9 @@ impl Beams {
         self.smooth
             .par_chunks_mut(m)
             .zip(self.interface.par_chunks(m))
-            .for_each(|(smooth, interface)| filter(&pulse[1], interface, smooth));
+            .for_each(|(smooth, interface)| filter(pulse, interface, smooth));
         self.drawn
-            .par_chunks_mut(2 * m)
+            .par_chunks_mut(2 * (half + 2 * margin))
             .zip(self.filtered.par_chunks_mut(2 * m))
             .zip(self.fine_polygon.par_chunks_mut(m))
             .enumerate()
@@ -293,27 +299,34 @@ impl Beams {
                 };
                 let ray = ray(probe, fine as f64 / sub as f64, m, step_mm);
                 drawn.fill(0.0);
+                let (in_phase, quadrature) = drawn.split_at_mut(half + 2 * margin);
+                let own = margin..margin + half;
                 for ((cut, reach), &(offset, _, weight)) in cuts.iter().zip(reach).zip(planes) {
                     coverage::cover(cut, scene.organs, reach, line as f32 + t, &ray, polygon);
                     let pose = pose.shifted(offset);
                     coverage::runs(polygon, |p, range| {
-                        if !range.clone().any(|j| strength(j) > 0.0) {
+                        let drawn = range.start.div_ceil(2)..range.end.div_ceil(2);
+                        if !drawn.clone().any(|k| strength(2 * k) > 0.0) {
                             return;
                         }
                         let polygon = cut.polygons.get(p as usize).filter(|p| !p.inverted);
                         let along = lattice.along(scene.organs, polygon, &pose, &ray);
-                        along.add(range, weight, drawn);
+                        let parts = [&mut in_phase[own.clone()], &mut quadrature[own.clone()]];
+                        along.add(drawn, weight, parts);
                     });
                 }
-                let (in_phase, quadrature) = drawn.split_at_mut(m);
-                for j in 0..m {
-                    let s = strength(j);
-                    in_phase[j] *= s;
-                    quadrature[j] *= s;
+                for (k, (i, q)) in in_phase[own.clone()]
+                    .iter_mut()
+                    .zip(&mut quadrature[own])
+                    .enumerate()
+                {
+                    let s = strength(2 * k);
+                    *i *= s;
+                    *q *= s;
                 }
                 let (i, q) = filtered.split_at_mut(m);
-                filter(&pulse[0], in_phase, i);
-                filter(&pulse[0], quadrature, q);
+                noise.apply(in_phase, i);
+                noise.apply(quadrature, q);
             });
     }
 }
@@ -510,16 +523,17 @@ impl Lattice {
 }
 
 impl Along {
-    /// Adds the field at a range of samples to in phase and quadrature, which follow each other in `drawn`.
-    fn add(&self, range: std::ops::Range<usize>, weight: f32, drawn: &mut [f32]) {
-        let first = range.start as f64;
-        let base = [0, 1, 2].map(|a| (self.zero[a] + first * self.step[a]) as f32);
-        let step = self.step.map(|v| v as f32);
-        let (in_phase, quadrature) = drawn.split_at_mut(drawn.len() / 2);
+    /// Adds the field at a range of every other sample to in phase and quadrature.
+    fn add(&self, range: std::ops::Range<usize>, weight: f32, [in_phase, quadrature]: [&mut [f32]; 2]) {
+        let first = 2.0 * range.start as f64;
+        let mut at = [0, 1, 2].map(|a| speckle::fixed(self.zero[a] + first * self.step[a]));
+        let step = self.step.map(|v| speckle::fixed(2.0 * v));
         let pairs = in_phase[range.clone()].iter_mut().zip(&mut quadrature[range]);
-        for (n, (i, q)) in pairs.enumerate() {
-            let t = n as f32;
-            let v = speckle::field([0, 1, 2].map(|a| base[a] + t * step[a]), self.seed);
+        for (i, q) in pairs {
+            let v = speckle::field(at, self.seed);
+            for a in 0..3 {
+                at[a] = at[a].wrapping_add(step[a]);
+            }
             *i += weight * v[0];
             *q += weight * v[1];
         }

@@ -14,13 +14,14 @@ const NEAR: usize = 64;
 ///
 /// Where a folded mesh covers a sample more than once, the lowest tet has it. Where the meshes of several organs overlap
 /// (each has a margin around its organ), the first organ whose label is there has it, else the first mesh. Inverted tets
-/// get what is left. `reach`: between which rays each polygon lies, `ray` being number `line`.
-pub(crate) fn cover(cut: &Cut, organs: &[Organ], reach: &[[f32; 2]], line: f32, ray: &Ray, out: &mut [u32]) {
+/// get what is left. `ray` is scan line `line`.
+pub(crate) fn cover(cut: &Cut, organs: &[Organ], reach: &Reach, line: f32, ray: &Ray, out: &mut [u32]) {
     out.fill(NONE);
-    for (n, (polygon, reach)) in cut.polygons.iter().zip(reach).enumerate() {
-        if reach[0] <= line && line <= reach[1] {
-            claim(cut, organs, n, polygon, ray, out);
-        }
+    for &n in reach.near(line) {
+        let Some(polygon) = cut.polygons.get(n as usize) else {
+            continue;
+        };
+        claim(cut, organs, n as usize, polygon, ray, out);
     }
 }
 
@@ -73,21 +74,66 @@ fn claim(cut: &Cut, organs: &[Organ], n: usize, polygon: &Polygon, ray: &Ray, ou
     }
 }
 
-/// Between which scan lines each polygon lies, with room for rounding.
-pub(crate) fn lines(cut: &Cut, probe: &Probe, out: &mut Vec<[f32; 2]>) {
-    out.clear();
-    out.extend(cut.polygons.iter().map(|p| {
-        let (mut lo, mut hi) = (f64::INFINITY, f64::NEG_INFINITY);
-        for &c in &p.corners[..p.count] {
-            if !probe.fans_towards(c) {
-                return [f32::NEG_INFINITY, f32::INFINITY];
+/// Which polygons may meet which scan lines.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Reach {
+    /// Where each line's polygons begin, and the end of the last ones'.
+    first: Vec<u32>,
+    /// Polygons that reach between a line and the next, ascending.
+    polygons: Vec<u32>,
+    between: Vec<[u32; 2]>,
+}
+
+impl Reach {
+    pub(crate) fn update(&mut self, cut: &Cut, probe: &Probe) {
+        let last = probe.lines - 1;
+        self.first.clear();
+        self.first.resize(probe.lines + 1, 0);
+        self.between.clear();
+        for p in &cut.polygons {
+            let (mut lo, mut hi) = (f64::INFINITY, f64::NEG_INFINITY);
+            for &c in &p.corners[..p.count] {
+                if !probe.fans_towards(c) {
+                    (lo, hi) = (f64::NEG_INFINITY, f64::INFINITY);
+                    break;
+                }
+                let line = probe.beam(c)[0];
+                lo = lo.min(line);
+                hi = hi.max(line);
             }
-            let line = probe.beam(c)[0];
-            lo = lo.min(line);
-            hi = hi.max(line);
+            // Room for rounding; what ends before the first line is none's.
+            let end = if hi < -0.01 { 0 } else { (hi + 0.01) as usize + 1 };
+            let between = [(lo - 0.01) as usize, end.min(last + 1)];
+            for line in between[0]..between[1] {
+                self.first[line + 1] += 1;
+            }
+            self.between.push(between.map(|n| n as u32));
         }
-        [(lo - 0.01) as f32, (hi + 0.01) as f32]
-    }));
+        for line in 0..=last {
+            self.first[line + 1] += self.first[line];
+        }
+        self.polygons.clear();
+        self.polygons.resize(self.first[last + 1] as usize, 0);
+        for (n, &[from, to]) in self.between.iter().enumerate() {
+            for line in from..to {
+                let slot = &mut self.first[line as usize];
+                self.polygons[*slot as usize] = n as u32;
+                *slot += 1;
+            }
+        }
+        // Each line's beginning has moved on to the next one's.
+        self.first.copy_within(0..=last, 1);
+        self.first[0] = 0;
+    }
+
+    /// Those that may meet scan line `line`; fractions lie between lines.
+    fn near(&self, line: f32) -> &[u32] {
+        let n = (line as usize).min(self.first.len().saturating_sub(2));
+        match self.first.get(n..n + 2) {
+            Some(&[from, to]) => self.polygons.get(from as usize..to as usize).unwrap_or(&[]),
+            _ => &[],
+        }
+    }
 }
 
 /// Whether a point of the plane shows one of the organ's regions through this polygon.

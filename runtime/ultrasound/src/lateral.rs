@@ -86,14 +86,13 @@ pub(crate) struct Lateral {
 }
 
 impl Lateral {
-    /// `cell_mm` is the width of the speckle's lattice; the pulse's own factor of the noise power is in `axial_power`.
+    /// `cell_mm` is the width of the speckle's lattice.
     pub(crate) fn new(
         probe: &Probe,
         s: &AcousticSettings,
         samples: usize,
         step_mm: f64,
         cell_mm: f64,
-        axial_power: f64,
     ) -> Self {
         let last = (samples.max(2) - 1) as f64;
         let sigma_mm = |j: usize| {
@@ -111,7 +110,7 @@ impl Lateral {
             2,
             |j| rest_of(sigma_mm(j), cell_mm) / fine(j),
             // Two parts of the pair, each of the lattice's power.
-            |j, w| (2.0 * speckle::POWER * axial_power * filtered_power(w, fine(j) / cell_mm)).sqrt(),
+            |j, w| (2.0 * speckle::POWER * filtered_power(w, fine(j) / cell_mm)).sqrt(),
         );
         let mean = Kernel::new(
             samples,
