@@ -56,6 +56,9 @@ pub struct Solid {
     pub(crate) shape: Shape,
     pub(crate) place: Place,
     pub(crate) before: Place,
+    /// Where it was before the last step or substep, and how long that took, s.
+    pub(crate) left: Place,
+    pub(crate) moved_in_s: f64,
     pub(crate) friction: f64,
     /// Sum of the normal forces on the tissue, µN.
     pub force_un: DVec3,
@@ -104,6 +107,8 @@ impl Solid {
             shape,
             place,
             before: place,
+            left: place,
+            moved_in_s: 1.0,
             friction,
             force_un: DVec3::ZERO,
             contacts: 0,
@@ -154,8 +159,17 @@ impl Solid {
 
     /// Velocity of the solid's point at `x`, over a step of `dt_s`.
     pub(crate) fn velocity(&self, x: DVec3, dt_s: f64) -> DVec3 {
+        self.velocity_from(self.before, x, dt_s)
+    }
+
+    /// The same over the last step made.
+    pub(crate) fn moved_velocity(&self, x: DVec3) -> DVec3 {
+        self.velocity_from(self.left, x, self.moved_in_s)
+    }
+
+    fn velocity_from(&self, before: Place, x: DVec3, dt_s: f64) -> DVec3 {
         let local = self.place.rotation.transpose() * (x - self.place.centre_mm);
-        (x - (self.before.rotation * local + self.before.centre_mm)) / dt_s
+        (x - (before.rotation * local + before.centre_mm)) / dt_s
     }
 }
 

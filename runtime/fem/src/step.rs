@@ -10,6 +10,7 @@ use std::time::Instant;
 
 mod contacts;
 
+pub use contacts::ContactForce;
 use contacts::Drag;
 
 impl Simulation {

@@ -50,6 +50,9 @@ pub enum Command {
         /// Scene in place of the protocol.
         #[arg(long, value_name = "FILE")]
         scene: Option<PathBuf>,
+        /// The protocol on the packages' finite elements.
+        #[arg(long, conflicts_with = "scene")]
+        fem: bool,
         /// Devices: auto measures the CPU and every real GPU.
         #[command(flatten)]
         device: BackendArgs,
@@ -76,6 +79,9 @@ pub enum Command {
         /// The bundled protocol: warm-up and three stages of indentation.
         #[arg(long)]
         protocol: bool,
+        /// The same on finite elements.
+        #[arg(long, conflicts_with_all = ["example", "protocol"])]
+        fem: bool,
     },
     /// List the GPUs that the drivers of this machine offer, and why one is not taken.
     Devices,

@@ -1,8 +1,8 @@
 //! Time per step of whole sessions: the paper's Table 5 and Figure 8.
 
-use crate::scene::{PROBE_PRESS, SceneSource};
+use crate::scene::{FEM_PRESS, PROBE_PRESS, SceneSource};
 use crate::session::{Device, Session, load};
-use crate::trace::{PARTS, Spread};
+use crate::trace::Spread;
 use crate::{Progress, RehearseError};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -26,13 +26,17 @@ pub struct BenchRow {
     pub clusters: usize,
     /// Memberships.
     pub memberships: usize,
+    /// Nodes, tets and held nodes of finite elements; none of particles.
+    pub fem: Option<[usize; 3]>,
+    /// Names of the parts of a step.
+    pub parts: [&'static str; 8],
     /// Steps measured.
     pub steps: usize,
     /// Wall time of a step with skinning and image, ms.
     pub step_ms: Spread,
     /// Wall time of the solver alone, ms.
     pub solver_ms: Spread,
-    /// Mean wall time of each part by [`PARTS`], ms.
+    /// Mean wall time of each part, ms.
     pub parts_ms: [f64; 8],
     /// Particles in contact with instruments in a step, mean over the last stage.
     pub contacts: f64,
@@ -44,18 +48,21 @@ pub struct BenchRow {
     pub notes: Vec<String>,
 }
 
-/// Runs the scene (absent: the paper's protocol) with each package on a device; nothing is written.
+/// Runs the scene (absent: the paper's protocol, with `fem` on finite elements) with each package on a device; nothing is
+/// written.
 ///
 /// # Errors
 /// Whatever a session refuses.
 pub fn bench(
     scene: Option<&Path>,
+    fem: bool,
     packages: &[PathBuf],
     device: &Device,
     progress: &Progress,
 ) -> Result<Vec<BenchRow>, RehearseError> {
     let source = match scene {
         Some(path) => SceneSource::read(path)?,
+        None if fem => SceneSource::parse(FEM_PRESS, "fem-press.toml".as_ref())?,
         None => SceneSource::parse(PROBE_PRESS, "probe-press.toml".as_ref())?,
     };
     packages
@@ -122,6 +129,8 @@ fn row(session: &Session, package: &Path) -> BenchRow {
         particles: size.particles,
         clusters: size.clusters,
         memberships: size.memberships,
+        fem: size.fem,
+        parts: trace.parts(),
         steps: settled.len(),
         step_ms: ms(|t| t.total_s()),
         solver_ms: ms(|t| t.solver_s),
@@ -138,9 +147,14 @@ pub fn bench_tables(rows: &[BenchRow]) -> String {
     let mut out = format!(
         "{device}\nsolver, skinning and image per step, wall time, ms; the first {FIRST_STEPS} steps left out\n\n"
     );
-    out.push_str(
-        "| package | radius mm | particles | clusters | memberships | mean | SD | min | max | steps/s | solver mean |\n\
-         |---|---|---|---|---|---|---|---|---|---|---|\n",
+    let size = match rows.first().and_then(|r| r.fem) {
+        Some(_) => "tets | nodes | held",
+        None => "radius mm | particles | clusters | memberships",
+    };
+    let _ = writeln!(
+        out,
+        "| package | {size} | mean | SD | min | max | steps/s | solver mean |\n|---{}|---|---|---|---|---|---|",
+        "|---".repeat(size.split('|').count())
     );
     let name = |r: &BenchRow| {
         r.package
@@ -151,14 +165,17 @@ pub fn bench_tables(rows: &[BenchRow]) -> String {
     };
     for r in rows {
         let s = &r.step_ms;
+        let size = match r.fem {
+            Some([nodes, tets, held]) => format!("{tets} | {nodes} | {held}"),
+            None => format!(
+                "{:.2} | {} | {} | {}",
+                r.radius_mm, r.particles, r.clusters, r.memberships
+            ),
+        };
         let _ = writeln!(
             out,
-            "| {} | {:.2} | {} | {} | {} | {:.2} | {:.2} | {:.2} | {:.2} | {:.0} | {:.2} |",
+            "| {} | {size} | {:.2} | {:.2} | {:.2} | {:.2} | {:.0} | {:.2} |",
             name(r),
-            r.radius_mm,
-            r.particles,
-            r.clusters,
-            r.memberships,
             s.mean,
             s.sd,
             s.min,
@@ -172,10 +189,11 @@ pub fn bench_tables(rows: &[BenchRow]) -> String {
         return out;
     }
     out.push_str("\nshare of each part, %; busy: their sum, ms a step\n\n| package |");
-    for p in PARTS {
+    let parts = rows.first().map_or(crate::trace::PARTS, |r| r.parts);
+    for p in parts {
         let _ = write!(out, " {p} |");
     }
-    let _ = writeln!(out, " busy |\n|---|{}", "---|".repeat(PARTS.len() + 1));
+    let _ = writeln!(out, " busy |\n|---|{}", "---|".repeat(parts.len() + 1));
     for r in rows {
         let sum: f64 = r.parts_ms.iter().sum::<f64>().max(1e-12);
         let _ = write!(out, "| {} |", name(r));
@@ -188,7 +206,7 @@ pub fn bench_tables(rows: &[BenchRow]) -> String {
     for r in rows {
         let _ = writeln!(
             out,
-            "{}: a picture takes {:.1} ms on one thread; {:.0} particles in contact in the last stage",
+            "{}: a picture takes {:.1} ms on one thread; {:.0} particles or nodes in contact in the last stage",
             name(r),
             r.picture_ms,
             r.contacts

@@ -30,7 +30,23 @@ pub fn check(scene: &Path, package: Option<&Path>) -> Result<String, RehearseErr
     if !any {
         out.push_str("  no package in the scene: give one with --package\n");
     }
-    let timeline = Timeline::new(&source.scene, source.scene.solver.dt_s);
+    if let (true, Some(first)) = (source.scene.is_fem(), loaded.first()) {
+        let fem = &first.model.fem;
+        let _ = writeln!(
+            out,
+            "  finite elements: {} nodes, {} tets",
+            fem.vertices.len(),
+            fem.tets.len()
+        );
+        let tissue = source.scene.tissue.clone().unwrap_or_default();
+        for w in tissue
+            .materials(&first.model.info.regions)
+            .map_or_else(|_| Vec::new(), |m| m.1)
+        {
+            let _ = writeln!(out, "  note: {w}");
+        }
+    }
+    let timeline = Timeline::new(&source.scene, source.scene.dt_s());
     for s in timeline.stages() {
         let _ = writeln!(
             out,

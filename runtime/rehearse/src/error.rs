@@ -57,6 +57,9 @@ pub enum RehearseError {
     /// The solver refuses the scene.
     #[error(transparent)]
     Solver(#[from] palpate_pbd::PbdError),
+    /// The tissue's mesh, material or step is refused.
+    #[error("tissue: {0}")]
+    Tissue(#[from] palpate_fem::FemError),
     /// No ultrasound image can be made.
     #[error(transparent)]
     Ultrasound(#[from] palpate_ultrasound::UltrasoundError),

@@ -3,8 +3,8 @@
 use palpate_console::{Words, print, start, use_threads};
 use palpate_rehearse::args::{Cli, Command, RunArgs};
 use palpate_rehearse::recording::{Recording, Replayed, TOLERANCE_MM};
-use palpate_rehearse::scene::{EXAMPLE, PROBE_PRESS, SceneSource};
-use palpate_rehearse::session::{Session, load};
+use palpate_rehearse::scene::{EXAMPLE, FEM_PRESS, PROBE_PRESS, SceneSource};
+use palpate_rehearse::session::{Device, Session, load};
 use palpate_rehearse::{Progress, UsageError, bench, bench_tables, check, devices};
 use std::process::ExitCode;
 
@@ -56,28 +56,44 @@ fn run(cli: Cli) -> anyhow::Result<()> {
         Command::Bench {
             packages,
             scene,
+            fem,
             device,
             threads,
             quiet,
         } => {
             device.check()?;
             use_threads(threads)?;
-            let (devices, notes) = device.devices(threads)?;
+            let (devices, notes) = match fem {
+                // Finite elements are computed on the CPU.
+                true => (vec![Device::Cpu { threads }], Vec::new()),
+                false => device.devices(threads)?,
+            };
             for n in notes {
                 eprintln!("note: {n}");
             }
             for (n, device) in devices.iter().enumerate() {
-                let rows = bench(scene.as_deref(), &packages, device, &Progress::counting(quiet))?;
+                let rows = bench(
+                    scene.as_deref(),
+                    fem,
+                    &packages,
+                    device,
+                    &Progress::counting(quiet),
+                )?;
                 let gap = if n > 0 { "\n" } else { "" };
                 print(&format!("{gap}{}", bench_tables(&rows)))?;
             }
             Ok(())
         }
         Command::Check { scene, package } => print(&check(&scene, package.as_deref())?),
-        Command::Scene { example, protocol } => match (example, protocol) {
-            (true, _) => print(EXAMPLE),
-            (_, true) => print(PROBE_PRESS),
-            _ => Err(UsageError("say which scene: --example or --protocol".into()).into()),
+        Command::Scene {
+            example,
+            protocol,
+            fem,
+        } => match (example, protocol, fem) {
+            (true, ..) => print(EXAMPLE),
+            (_, true, _) => print(PROBE_PRESS),
+            (_, _, true) => print(FEM_PRESS),
+            _ => Err(UsageError("say which scene: --example, --protocol or --fem".into()).into()),
         },
         Command::Devices => print(&devices()),
     }

@@ -68,14 +68,26 @@ fn report(session: &Session) -> RunReport {
     let mut warnings = session.warnings().to_vec();
     if clamps > 0 {
         let first = trace.steps.iter().find(|s| s.clamps > 0).map_or(0, |s| s.step);
-        warnings.push(format!(
-            "Limits of speed, acceleration or contacts took hold {clamps} times, first in step {first}."
-        ));
+        warnings.push(match trace.fem {
+            true => format!(
+                "{clamps} steps were too violent for the trapezoid rule and lost energy, first step {first}; slower motion or a \
+                 shorter dt_s keeps it."
+            ),
+            false => format!(
+                "Limits of speed, acceleration or contacts took hold {clamps} times, first in step {first}."
+            ),
+        });
     }
     if inverted_tets > 0 {
-        warnings.push(format!(
-            "Up to {inverted_tets} embedding tets were inverted; their pixels show the fill value."
-        ));
+        warnings.push(match trace.fem {
+            true => format!(
+                "Up to {inverted_tets} tets, of the tissue or of the mesh that carries the image, were turned over; law = \
+                 \"neo_hookean\" keeps the tissue's upright longest."
+            ),
+            false => format!(
+                "Up to {inverted_tets} embedding tets were inverted; their pixels show the fill value."
+            ),
+        });
     }
     RunReport {
         device: session.device(),
@@ -177,14 +189,15 @@ impl Writer {
         let session = &*session;
         let time = session.timeline().time_s(step);
         let mut clouds = session.surface_clouds(&self.rest);
-        clouds.push(("particles".into(), session.particle_cloud(&self.rest)?));
+        let (name, cloud) = session.body_cloud(&self.rest)?;
+        clouds.push((name.into(), cloud));
         for (name, points_mm, triangles) in session.instrument_meshes() {
             clouds.push((
                 format!("instrument-{name}"),
                 PointCloud {
                     points_mm,
                     triangles,
-                    arrays: Vec::new(),
+                    ..PointCloud::default()
                 },
             ));
         }
@@ -222,7 +235,7 @@ impl Writer {
         }
         let mut preview = Vec::new();
         if !self.preview.is_empty() {
-            let every = f64::from(record.preview_every_steps) * session.scene().solver.dt_s;
+            let every = f64::from(record.preview_every_steps) * session.scene().dt_s();
             preview = self.preview.encode(every, &NOTES)?;
             self.folder.write("preview.png", &preview)?;
             files.push(("preview.png".into(), "the session as an animated PNG".into()));
@@ -238,7 +251,7 @@ impl Writer {
             }
             files.push((
                 "vtu/*.pvd".into(),
-                "series for ParaView: surfaces, particles, instruments".into(),
+                "series for ParaView: surfaces, particles or tets, instruments".into(),
             ));
         }
         if record.csv {
@@ -324,6 +337,9 @@ fn facts(session: &Session, packages: &[Loaded], report: &RunReport) -> Vec<(Str
                 &p.digest.get(..12).unwrap_or_default()
             ),
         ));
+        if session.scene().is_fem() {
+            continue;
+        }
         out.push((
             "particles".into(),
             format!(
@@ -338,28 +354,42 @@ fn facts(session: &Session, packages: &[Loaded], report: &RunReport) -> Vec<(Str
     }
     let s = session.scene();
     out.push(("support".into(), s.support.clone()));
+    let acts = match s.is_fem() && s.gravity.balanced_in_scan {
+        true => ", borne as in the scan: none acts",
+        false => "",
+    };
     out.push((
         "gravity".into(),
         format!(
-            "{:.2} m/s² {}",
+            "{:.2} m/s² {}{acts}",
             1e-3 * s.gravity.acceleration_mm_s2,
             s.gravity.direction
         ),
     ));
-    out.push((
-        "stiffness α".into(),
-        format!(
-            "organ {}, structures {} (not calibrated)",
-            s.stiffness.organ, s.stiffness.structures
-        ),
-    ));
-    out.push((
-        "contact distance".into(),
-        format!(
-            "{:.2} mm from solids to particle centres",
-            session.contact_distance_mm()
-        ),
-    ));
+    if let Some([nodes, tets, held]) = session.size().fem {
+        out.push((
+            "finite elements".into(),
+            format!("{nodes} nodes, {held} of them held, {tets} tets"),
+        ));
+        for m in session.materials() {
+            out.push(("material".into(), format!("{m} (not calibrated)")));
+        }
+    } else {
+        out.push((
+            "stiffness α".into(),
+            format!(
+                "organ {}, structures {} (not calibrated)",
+                s.stiffness.organ, s.stiffness.structures
+            ),
+        ));
+        out.push((
+            "contact distance".into(),
+            format!(
+                "{:.2} mm from solids to particle centres",
+                session.contact_distance_mm()
+            ),
+        ));
+    }
     if let Some(b) = session.balance() {
         out.push((
             "rest shape".into(),
@@ -385,7 +415,7 @@ fn facts(session: &Session, packages: &[Loaded], report: &RunReport) -> Vec<(Str
         format!(
             "{} steps of {:.2} ms on {}: {:.1} ms a step, {:.0} steps/s",
             report.steps,
-            1e3 * s.solver.dt_s,
+            1e3 * s.dt_s(),
             session.device(),
             report.step_ms.mean,
             1e3 / report.step_ms.mean.max(1e-9)

@@ -17,7 +17,7 @@ pub const UNCALIBRATED_GREY: &str = "Grey values of the ultrasound images are no
 /// The first for narrow places.
 pub const UNCALIBRATED_SHORT: &str = "forces: stiffness not calibrated";
 
-/// Parts of a step in the order of [`StepTimes::parts`].
+/// Parts of a step of particles in the order of [`StepTimes::parts`].
 pub const PARTS: [&str; 8] = [
     "integration",
     "neighbours",
@@ -26,6 +26,18 @@ pub const PARTS: [&str; 8] = [
     "shape matching",
     "frames",
     "skinning",
+    "image",
+];
+
+/// The same of finite elements.
+pub const FEM_PARTS: [&str; 8] = [
+    "forces and Jacobians",
+    "solves",
+    "rest of the tissue",
+    "needle",
+    "coupling",
+    "remeshing",
+    "surfaces",
     "image",
 ];
 
@@ -61,7 +73,7 @@ impl Contact {
 /// timestamps, and all parts together are the wall time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StepTimes {
-    /// By [`PARTS`].
+    /// By [`Trace::parts`].
     pub parts: [f64; 8],
     /// The solver's step as a whole, without skinning and image; on a GPU with the way there and back.
     pub solver_s: f64,
@@ -101,9 +113,10 @@ pub struct StepRow {
     pub times: StepTimes,
     /// Fiducials in patient RAS mm.
     pub fiducials_mm: Vec<[f64; 3]>,
-    /// Limits that took hold (speed, acceleration, contacts beyond what fits, numbers that are not finite).
+    /// Limits that took hold (speed, acceleration, contacts beyond what fits, numbers that are not finite); of finite elements
+    /// 1 where a step was too violent and lost energy.
     pub clamps: u64,
-    /// Embedding tets that are inverted in the scan plane.
+    /// Embedding tets that are inverted in the scan plane; of finite elements all of its tets that are, where those are more.
     pub inverted_tets: u32,
     /// Digest of the solver's state; on a GPU of contacts, clamps and fiducials.
     pub digest: u64,
@@ -125,6 +138,8 @@ pub struct StageRow {
 pub struct Trace {
     /// What computed it, in words.
     pub device: String,
+    /// Whether tissue was finite elements.
+    pub fem: bool,
     /// Names of the instruments.
     pub instruments: Vec<String>,
     /// Names of the fiducials.
@@ -173,6 +188,11 @@ impl Spread {
 }
 
 impl Trace {
+    /// Names of the parts of a step.
+    pub fn parts(&self) -> [&'static str; 8] {
+        if self.fem { FEM_PARTS } else { PARTS }
+    }
+
     /// Distances (mm) of the fiducials between the end of stage `from` and the end of stage `to`; between rest and `to`
     /// where `from` is none. Empty where the steps are not there.
     pub fn displacements(&self, from: Option<usize>, to: usize) -> Vec<f64> {

@@ -18,7 +18,41 @@ pub(super) struct Drag {
     pub solid_velocity: DVec3,
 }
 
+/// Force of a solid on one node.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ContactForce {
+    /// Node slot.
+    pub node: u32,
+    /// Index of the solid.
+    pub solid: usize,
+    /// Out of the solid at the node, unit.
+    pub normal: DVec3,
+    /// Along the normal, µN; at least 0.
+    pub push_un: f64,
+    /// Coulomb friction at the end of the step, across the normal, µN.
+    pub friction_un: DVec3,
+}
+
 impl Simulation {
+    /// Nodes that solids touch after the last step, ascending, with the force on each.
+    pub fn contact_forces(&self) -> impl Iterator<Item = ContactForce> {
+        self.contacts.iter().map(|c| {
+            let solid = &self.solids[c.solid as usize];
+            let n = c.node as usize;
+            let normal = solid.touch(self.x[n], Some(c.face)).normal;
+            let slide = self.v[n] - solid.moved_velocity(self.x[n]);
+            let slide = slide - normal * normal.dot(slide);
+            let least = self.settings.friction_speed_mm_s;
+            ContactForce {
+                node: c.node,
+                solid: c.solid as usize,
+                normal,
+                push_un: c.push_un,
+                friction_un: slide * (-solid.friction * c.push_un / slide.length().max(least)),
+            }
+        })
+    }
+
     /// Constraints of holds and contacts on the accelerations of this step.
     pub(super) fn constrain(&mut self, constraints: &mut [Option<Constraint>]) {
         let s = &self.settings;
@@ -216,6 +250,7 @@ impl Simulation {
             }
         }
         for s in &mut self.solids {
+            (s.left, s.moved_in_s) = (s.before, dt);
             s.before = s.place;
         }
     }

@@ -1,4 +1,4 @@
-use crate::trace::{PARTS, Trace, UNCALIBRATED};
+use crate::trace::{Trace, UNCALIBRATED};
 use std::fmt::Write;
 
 /// Fiducials at every step: patient RAS mm, step 0 at rest.
@@ -71,7 +71,7 @@ pub fn timings_csv(trace: &Trace) -> String {
          step,time_s,stage",
         trace.device.replace(['\n', '\r'], " ")
     );
-    for p in PARTS {
+    for p in trace.parts() {
         let _ = write!(out, ",{}_ms", p.replace(' ', "_"));
     }
     out.push_str(",solver_ms,all_collision_ms,total_ms\n");

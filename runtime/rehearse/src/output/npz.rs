@@ -1,4 +1,4 @@
-use crate::trace::{Contact, PARTS, StepRow, Trace, UNCALIBRATED, UNCALIBRATED_MOTION};
+use crate::trace::{Contact, StepRow, Trace, UNCALIBRATED, UNCALIBRATED_MOTION};
 use std::io::{Cursor, Write};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
@@ -60,8 +60,8 @@ pub fn trace_npz(trace: &Trace) -> zip::result::ZipResult<Vec<u8>> {
     put("pressure_kpa", floats(&[n, i], &scalars(&|c| c.pressure_kpa)))?;
     put("instrument_names", texts(&trace.instruments))?;
     let times: Vec<f64> = trace.steps.iter().flat_map(|s| s.times.parts).collect();
-    put("timings_s", floats(&[n, PARTS.len()], &times))?;
-    put("timing_names", texts(&PARTS.map(String::from)))?;
+    put("timings_s", floats(&[n, trace.parts().len()], &times))?;
+    put("timing_names", texts(&trace.parts().map(String::from)))?;
     put("total_s", floats(&[n], &column(&|s| s.times.total_s())))?;
     put("collision_s", floats(&[n], &column(&|s| s.times.collision_s())))?;
     let stages = trace.stages.len();

@@ -1,5 +1,5 @@
 use super::chart::{Line, Plot, bars, escaped, plot};
-use crate::trace::{PARTS, Spread, StepRow, Trace, UNCALIBRATED, UNCALIBRATED_GREY, UNCALIBRATED_MOTION};
+use crate::trace::{Spread, StepRow, Trace, UNCALIBRATED, UNCALIBRATED_GREY, UNCALIBRATED_MOTION};
 use std::fmt::Write;
 
 /// Colours of the parts of a step.
@@ -274,21 +274,23 @@ fn timings(out: &mut String, trace: &Trace) {
         colour,
         points: over_time(trace, |s| 1e3 * get(s)),
     };
+    // Finite elements find contacts within their solves.
+    let second = match trace.fem {
+        true => line("solver", LINES[1], |s| s.times.solver_s),
+        false => line("finding contacts", LINES[1], |s| s.times.collision_s()),
+    };
     out.push_str(&plot(&Plot {
         title: "Time of a step (the paper's Figure 7)",
         x: "time, s",
         y: "ms",
-        lines: vec![
-            line("total", LINES[0], |s| s.times.total_s()),
-            line("finding contacts", LINES[1], |s| s.times.collision_s()),
-        ],
+        lines: vec![line("total", LINES[0], |s| s.times.total_s()), second],
         marks: marks(trace),
     }));
     let settled = &trace.steps[FIRST_STEPS.min(trace.steps.len() - 1)..];
-    let mean: Vec<f64> = (0..PARTS.len())
+    let mean: Vec<f64> = (0..PART_COLOURS.len())
         .map(|p| settled.iter().map(|s| s.times.parts[p]).sum::<f64>() / settled.len() as f64)
         .collect();
-    let parts: Vec<(&str, &str)> = PARTS.iter().copied().zip(PART_COLOURS).collect();
+    let parts: Vec<(&str, &str)> = trace.parts().into_iter().zip(PART_COLOURS).collect();
     out.push_str(&bars(
         "Share of each part (the paper's Figure 8)",
         &parts,
@@ -300,11 +302,14 @@ fn timings(out: &mut String, trace: &Trace) {
         "<table><tr><th>per step, ms (first {FIRST_STEPS} steps left out)</th><th>mean</th><th>SD</th><th>least</th>\
          <th>most</th></tr>"
     );
-    for (name, s) in [
-        ("all: solver, skinning, image", ms(|s| s.times.total_s())),
+    let mut rows = vec![
+        ("all: solver, surfaces, image", ms(|s| s.times.total_s())),
         ("solver", ms(|s| s.times.solver_s)),
-        ("finding contacts", ms(|s| s.times.collision_s())),
-    ] {
+    ];
+    if !trace.fem {
+        rows.push(("finding contacts", ms(|s| s.times.collision_s())));
+    }
+    for (name, s) in rows {
         let _ = write!(
             out,
             "<tr><td>{name}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td></tr>",

@@ -30,6 +30,7 @@ fn trace() -> Trace {
         .collect();
     Trace {
         device: "CPU, 2 threads".into(),
+        fem: false,
         instruments: vec!["probe, left".into()],
         fiducials: vec!["a".into(), "b\u{e9}".into()],
         fiducials_rest_mm: vec![[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]],
@@ -155,7 +156,15 @@ fn python_reads_the_array_file_and_the_grids() {
             VtuArray::Scalars("speed <mm/s>".into(), vec![1.0, 2.0, 3.0, 4.5]),
             VtuArray::Vectors("displacement_mm".into(), vec![[0.5, 1.0, -2.0]; 4]),
         ],
+        ..PointCloud::default()
     };
+    let tet = PointCloud {
+        triangles: &[],
+        tets: vec![[0, 1, 2, 3]],
+        cells: vec![VtuArray::Scalars("region".into(), vec![3.0])],
+        ..cloud.clone()
+    };
+    std::fs::write(dir.path().join("t.vtu"), vtu(&tet, 0.0)).unwrap();
     std::fs::write(dir.path().join("s.vtu"), vtu(&cloud, 0.25)).unwrap();
     let bare = PointCloud {
         triangles: &[],
@@ -187,6 +196,8 @@ s = p.read('s.vtu')
 assert s.n_points == 4 and s.n_cells == 2 and abs(s.area - 1.0) < 0.2, s.area
 assert s['speed <mm/s>'].tolist() == [1, 2, 3, 4.5] and s['displacement_mm'][2].tolist() == [0.5, 1, -2]
 assert p.read('p.vtu').n_cells == 4
+t = p.read('t.vtu')
+assert t.n_cells == 1 and abs(t.volume - 1 / 12) < 1e-9 and t.cell_data['region'].tolist() == [3]
 r = p.PVDReader('s.pvd')
 assert r.time_values == [0.25, 0.5]
 ";

@@ -9,23 +9,31 @@ pub enum VtuArray {
     Vectors(String, Vec<[f32; 3]>),
 }
 
-/// Points with triangles, or on their own.
+/// Points with triangles or tets, or on their own.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PointCloud<'a> {
     /// Patient RAS mm.
     pub points_mm: Vec<[f64; 3]>,
-    /// Vertex indices; none: every point is a cell of its own.
+    /// Vertex indices; no triangles and no tets: every point is a cell of its own.
     pub triangles: &'a [[u32; 3]],
+    /// Vertex indices, in place of triangles.
+    pub tets: Vec<[u32; 4]>,
     /// Values at the points.
     pub arrays: Vec<VtuArray>,
+    /// Values of the cells.
+    pub cells: Vec<VtuArray>,
 }
 
 /// A VTK unstructured grid: XML with the arrays appended as raw bytes, which ParaView, pyvista and 3D Slicer read.
 pub fn vtu(cloud: &PointCloud, time_s: f64) -> Vec<u8> {
     const VERTEX: u8 = 1;
     const TRIANGLE: u8 = 5;
+    const TETRA: u8 = 10;
     let n = cloud.points_mm.len();
-    let (cells, corners, kind): (Vec<i64>, usize, u8) = if cloud.triangles.is_empty() {
+    let (cells, corners, kind): (Vec<i64>, usize, u8) = if !cloud.tets.is_empty() {
+        let list = cloud.tets.iter().flatten().map(|&v| i64::from(v)).collect();
+        (list, 4, TETRA)
+    } else if cloud.triangles.is_empty() {
         ((0..n as i64).collect(), 1, VERTEX)
     } else {
         let list = cloud.triangles.iter().flatten().map(|&v| i64::from(v)).collect();
@@ -66,19 +74,24 @@ pub fn vtu(cloud: &PointCloud, time_s: f64) -> Vec<u8> {
         xml,
         "</FieldData>\n<Piece NumberOfPoints=\"{n}\" NumberOfCells=\"{count}\">\n<PointData>\n"
     );
-    for a in &cloud.arrays {
-        match a {
-            VtuArray::Scalars(name, v) => {
-                let bytes = v.iter().flat_map(|x| x.to_le_bytes()).collect();
-                append(&mut xml, "Float32", name, 1, "", bytes);
-            }
-            VtuArray::Vectors(name, v) => {
-                let bytes = v.iter().flatten().flat_map(|x| x.to_le_bytes()).collect();
-                append(&mut xml, "Float32", name, 3, "", bytes);
+    for (arrays, end) in [
+        (&cloud.arrays, "</PointData>\n<CellData>\n"),
+        (&cloud.cells, "</CellData>\n<Points>\n"),
+    ] {
+        for a in arrays {
+            match a {
+                VtuArray::Scalars(name, v) => {
+                    let bytes = v.iter().flat_map(|x| x.to_le_bytes()).collect();
+                    append(&mut xml, "Float32", name, 1, "", bytes);
+                }
+                VtuArray::Vectors(name, v) => {
+                    let bytes = v.iter().flatten().flat_map(|x| x.to_le_bytes()).collect();
+                    append(&mut xml, "Float32", name, 3, "", bytes);
+                }
             }
         }
+        xml.push_str(end);
     }
-    xml.push_str("</PointData>\n<Points>\n");
     let points = cloud
         .points_mm
         .iter()

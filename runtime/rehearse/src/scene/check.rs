@@ -1,3 +1,5 @@
+mod tissue;
+
 use super::names::nearest;
 use super::{FORMAT, Instrument, Press, SceneSource, ShapeKind};
 use crate::RehearseError;
@@ -77,6 +79,7 @@ impl SceneSource {
             return Err(self.fault("steps", format!("{} steps, expected 1 to {MOST_STEPS}", s.steps)));
         }
         self.solver()?;
+        self.tissue()?;
         self.pictures()
     }
 
@@ -349,6 +352,7 @@ impl SceneSource {
                 ));
             }
         }
+        self.tissue_against(&package.info.regions)?;
         let support = self.scene.support.as_str();
         if matches!(support, "cradle" | "plane" | "none") {
             return Ok(());

@@ -6,3 +6,6 @@ pub const PROBE_PRESS: &str = include_str!("../../../../fixtures/scenes/probe-pr
 
 /// The protocol, then the probe is lifted off (`fixtures/scenes/press-and-release.toml`).
 pub const PRESS_AND_RELEASE: &str = include_str!("../../../../fixtures/scenes/press-and-release.toml");
+
+/// The protocol on tissue of finite elements (`fixtures/scenes/fem-press.toml`).
+pub const FEM_PRESS: &str = include_str!("../../../../fixtures/scenes/fem-press.toml");

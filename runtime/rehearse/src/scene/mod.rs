@@ -7,11 +7,13 @@ pub(crate) mod names;
 mod read;
 #[cfg(test)]
 mod tests;
+mod tissue;
 
 pub(crate) use check::is_mesh_file;
 pub use direction::Direction;
-pub use example::{EXAMPLE, PRESS_AND_RELEASE, PROBE_PRESS};
+pub use example::{EXAMPLE, FEM_PRESS, PRESS_AND_RELEASE, PROBE_PRESS};
 pub use read::SceneSource;
+pub use tissue::{Hold, MaterialChoice, Model, TissueSettings};
 
 use crate::motion::{Interpolation, Keyframe};
 use palpate_ultrasound::{Probe, TissueTable};
@@ -30,8 +32,12 @@ pub struct Scene {
     pub format: u32,
     /// Title in the summary.
     pub name: String,
+    /// How organs are simulated.
+    #[serde(skip_serializing_if = "Model::is_particles")]
+    pub model: Model,
     /// What the organs lie on: `cradle` (moulded to all of them), `plane` (below the first), `none`, `package` (all support
-    /// bodies of the first), the name of one of them, or an STL file (patient RAS mm) beside the scene.
+    /// bodies of the first), the name of one of them, or an STL file (patient RAS mm) beside the scene. With `model = "fem"`:
+    /// `cradle` (the surface that it would touch is held), `plane` or `none`, beside what `[[hold]]` holds.
     pub support: String,
     /// Form of a `cradle` support.
     pub cradle: Cradle,
@@ -44,6 +50,9 @@ pub struct Scene {
     pub press: Option<Press>,
     /// Cluster stiffness.
     pub stiffness: Stiffness,
+    /// Tissue of `model = "fem"`; absent: every key at its default.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tissue: Option<TissueSettings>,
     /// Points to follow.
     pub fiducials: FiducialChoice,
     /// The ultrasound image; absent: none is made.
@@ -58,6 +67,9 @@ pub struct Scene {
     /// Model packages; the first is the one that instruments and support refer to.
     #[serde(rename = "package")]
     pub packages: Vec<PackageEntry>,
+    /// Tissue that stays where it is, with `model = "fem"`.
+    #[serde(rename = "hold", skip_serializing_if = "Vec::is_empty")]
+    pub holds: Vec<Hold>,
     /// What touches the organs.
     #[serde(rename = "instrument")]
     pub instruments: Vec<Instrument>,
@@ -68,18 +80,21 @@ impl Default for Scene {
         Self {
             format: FORMAT,
             name: "rehearsal".into(),
+            model: Model::default(),
             support: "cradle".into(),
             cradle: Cradle::default(),
             steps: 120,
             gravity: Gravity::default(),
             press: None,
             stiffness: Stiffness::default(),
+            tissue: None,
             fiducials: FiducialChoice::default(),
             image: None,
             view: View::default(),
             record: Record::default(),
             solver: palpate_pbd::Settings::default(),
             packages: Vec::new(),
+            holds: Vec::new(),
             instruments: Vec::new(),
         }
     }
@@ -144,7 +159,8 @@ pub struct Gravity {
     pub acceleration_mm_s2: f64,
     /// Whether the scan shows the organ sagged under this weight already, as it does for a patient scanned in the position of
     /// the operation. Then rest shapes are found that sag into the scan's, and the organ stays in a `cradle` where the
-    /// scan has it; otherwise the scan's shape is the one without weight, as in the paper, and the organ sags from it.
+    /// scan has it; otherwise the scan's shape is the one without weight, as in the paper, and the organ sags from it. With
+    /// `model = "fem"` the weight and what bears it cancel: none acts; otherwise all of it.
     pub balanced_in_scan: bool,
 }
 
@@ -165,6 +181,14 @@ impl Gravity {
         (self.direction.unit() * self.acceleration_mm_s2)
             .to_array()
             .map(|v| v + 0.0)
+    }
+
+    /// What of it acts on finite elements: nothing where the scan shows the organ balanced.
+    pub fn on_tissue_mm_s2(&self) -> [f64; 3] {
+        match self.balanced_in_scan {
+            true => [0.0; 3],
+            false => self.vector_mm_s2(),
+        }
     }
 }
 

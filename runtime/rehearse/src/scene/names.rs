@@ -21,9 +21,9 @@ pub(crate) fn edit_distance(a: &str, b: &str) -> usize {
 }
 
 /// Endings that say a unit, as keys of a scene carry them.
-const UNITS: [&str; 16] = [
-    "_mm_s2", "_m_s2", "_mm", "_cm", "_m", "_um", "_in", "_s", "_ms", "_deg", "_rad", "_mhz", "_khz", "_hz",
-    "_px", "_db",
+const UNITS: [&str; 23] = [
+    "_kg_m3", "_g_cm3", "_g_mm3", "_kpa", "_mpa", "_gpa", "_pa", "_mm_s2", "_m_s2", "_mm", "_cm", "_m",
+    "_um", "_in", "_s", "_ms", "_deg", "_rad", "_mhz", "_khz", "_hz", "_px", "_db",
 ];
 
 /// The key without its unit, and the unit.

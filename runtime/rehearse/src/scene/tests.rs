@@ -11,7 +11,7 @@ const PROBE: &str = "[[instrument]]\nname = 'probe'\nshape = 'cuboid'\nsize_mm =
 
 #[test]
 fn bundled_and_example_scenes_read_and_go_round() {
-    for text in [EXAMPLE, PROBE_PRESS, PRESS_AND_RELEASE] {
+    for text in [EXAMPLE, PROBE_PRESS, PRESS_AND_RELEASE, FEM_PRESS] {
         let scene = SceneSource::parse(text, "s.toml".as_ref()).unwrap().scene;
         let written = toml::to_string(&scene).unwrap();
         let again = SceneSource::parse(&written, "s.toml".as_ref()).unwrap().scene;
@@ -120,6 +120,47 @@ fn wrong_keys_units_values_and_names_are_told_with_their_line() {
             "s.toml:7: ultrasound setting black_hu is 900 with white_hu 240, expected finite and below white_hu",
         ),
         ("x = \n".into(), "s.toml:1: "),
+        (
+            "[tissue]\nlaw = 'corotated'\n".into(),
+            "s.toml:1: [tissue] is about finite elements; set model = \"fem\", or take it out",
+        ),
+        (
+            "model = 'fem'\n[stiffness]\norgan = 0.5\n".into(),
+            "s.toml:2: [stiffness] is about particles, and model is \"fem\"; see [tissue.material]",
+        ),
+        (
+            format!(
+                "model = 'fem'\n{}",
+                PROBE
+                    .replace("cuboid", "capsule")
+                    .replace("size_mm = [40, 10, 20]", "diameter_mm = 4\nlength_mm = 9")
+            ),
+            "s.toml:4: with model = \"fem\" instruments are cuboids or spheres",
+        ),
+        (
+            "model = 'fem'\n[tissue.material.kidney]\nyoungs_modulus_kpa = 5\n".into(),
+            "s.toml:3: unknown key \"youngs_modulus_kpa\"; the nearest valid key is \"youngs_modulus_pa\" (mind the unit)",
+        ),
+        (
+            "model = 'fem'\n[tissue.material.kidney]\nyoungs_modulus_pa = 5000\npoisson_ratio = 0.5\n".into(),
+            "s.toml:4: material kidney: poisson_ratio is 0.5, expected 0 or more and below 0.5",
+        ),
+        (
+            "model = 'fem'\n[tissue.material.kidney]\nyoungs_modulus_pa = -1\n".into(),
+            "s.toml:3: material kidney: youngs_modulus_pa is -1, expected a modulus above 0 Pa",
+        ),
+        (
+            "model = 'fem'\n[tissue.solver]\ndt_s = 0\n".into(),
+            "s.toml:3: settings: dt_s is 0, expected seconds from 1e-7 to 10",
+        ),
+        (
+            "model = 'fem'\n[[hold]]\nside = 'posterior'\n".into(),
+            "s.toml:3: a side needs depth_mm: how far it reaches",
+        ),
+        (
+            "model = 'fem'\n[[hold]]\n[[hold]]\nbox_mm = [[0, 0, 0], [1, 0, 1]]\n".into(),
+            "s.toml:2: expected one of structure, side (with depth_mm) and box_mm",
+        ),
     ] {
         let got = complaint(&text);
         let fits = if expected.ends_with(": ") {

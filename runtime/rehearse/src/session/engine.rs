@@ -1,7 +1,8 @@
-//! What computes a session: the solver on the CPU; or solver, skinning and level 0 image on a GPU.
+//! What computes a session: the solver on the CPU; solver, skinning and level 0 image on a GPU; or finite elements.
 
 use super::imaging::Imaging;
 use super::organ::Organ;
+use super::tissue::TissueEngine;
 use crate::RehearseError;
 use crate::trace::StepTimes;
 use palpate_gpu::{AdapterKind, AdapterReport, Batch, Gpu, PartTime, Piece};
@@ -28,6 +29,7 @@ pub enum Device {
 pub(super) enum Engine {
     Cpu(Box<Solver>),
     Gpu(Box<GpuEngine>),
+    Tissue(Box<TissueEngine>),
 }
 
 /// Solver, skinned points and image on a GPU. A step is one submission; only contacts, clamps, fiducials and the count of
@@ -179,17 +181,19 @@ fn step_times(device: Option<&[PartTime]>, wall_s: f64) -> StepTimes {
 }
 
 impl Engine {
-    pub(super) fn set_pose(&mut self, k: usize, pose: Pose) -> Result<(), PbdError> {
+    pub(super) fn set_pose(&mut self, k: usize, pose: Pose) -> Result<(), RehearseError> {
         match self {
-            Self::Cpu(s) => s.set_pose(k, pose),
-            Self::Gpu(g) => g.solver.set_pose(k, pose),
+            Self::Cpu(s) => Ok(s.set_pose(k, pose)?),
+            Self::Gpu(g) => Ok(g.solver.set_pose(k, pose)?),
+            Self::Tissue(t) => t.set_pose(k, pose),
         }
     }
 
-    pub(super) fn place(&mut self, k: usize, pose: Pose) -> Result<(), PbdError> {
+    pub(super) fn place(&mut self, k: usize, pose: Pose) -> Result<(), RehearseError> {
         match self {
-            Self::Cpu(s) => s.place(k, pose),
-            Self::Gpu(g) => g.solver.place(k, pose),
+            Self::Cpu(s) => Ok(s.place(k, pose)?),
+            Self::Gpu(g) => Ok(g.solver.place(k, pose)?),
+            Self::Tissue(t) => t.set_pose(k, pose),
         }
     }
 
@@ -198,13 +202,19 @@ impl Engine {
         match self {
             Self::Cpu(s) => s.contacts(),
             Self::Gpu(g) => g.watch.contacts(),
+            Self::Tissue(t) => t.contacts(),
         }
     }
 
-    pub(super) fn clamps(&self) -> &ClampCounts {
+    /// Limits that took hold in the last step.
+    pub(super) fn clamps(&self) -> u64 {
+        let sum = |c: &ClampCounts| {
+            c.speed + c.acceleration + c.not_finite + c.shape_contacts + c.particle_contacts
+        };
         match self {
-            Self::Cpu(s) => s.clamps(),
-            Self::Gpu(g) => g.watch.clamps(),
+            Self::Cpu(s) => sum(s.clamps()),
+            Self::Gpu(g) => sum(g.watch.clamps()),
+            Self::Tissue(t) => t.braked().into(),
         }
     }
 
@@ -213,6 +223,7 @@ impl Engine {
         match self {
             Self::Cpu(s) => s.digest(),
             Self::Gpu(g) => g.watch.digest(),
+            Self::Tissue(t) => t.digest(),
         }
     }
 
@@ -220,6 +231,7 @@ impl Engine {
         Ok(match self {
             Self::Cpu(s) => s.positions().into(),
             Self::Gpu(g) => g.solver.positions()?.into(),
+            Self::Tissue(t) => t.positions().into(),
         })
     }
 
@@ -227,6 +239,7 @@ impl Engine {
         match self {
             Self::Cpu(s) => Ok(s.velocities().collect()),
             Self::Gpu(g) => g.solver.velocities(),
+            Self::Tissue(t) => Ok(t.velocities()),
         }
     }
 
@@ -234,12 +247,13 @@ impl Engine {
         match self {
             Self::Cpu(s) => s.bodies(),
             Self::Gpu(g) => g.solver.bodies(),
+            Self::Tissue(t) => t.bodies(),
         }
     }
 
     pub(super) fn gpu(&self) -> Option<&Gpu> {
         match self {
-            Self::Cpu(_) => None,
+            Self::Cpu(_) | Self::Tissue(_) => None,
             Self::Gpu(g) => Some(g.solver.gpu()),
         }
     }
@@ -248,6 +262,7 @@ impl Engine {
     pub(super) fn device(&self) -> String {
         match self {
             Self::Cpu(s) => format!("CPU, {} threads", s.threads()),
+            Self::Tissue(t) => format!("CPU, {} threads", t.threads()),
             // Why `auto` would not take it is another matter.
             Self::Gpu(g) => AdapterReport {
                 refused: None,

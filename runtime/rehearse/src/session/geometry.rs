@@ -1,4 +1,5 @@
 use super::Session;
+use super::engine::Engine;
 use super::imaging::Imaging;
 use crate::RehearseError;
 use crate::motion::RigidPose;
@@ -197,6 +198,7 @@ impl Session {
                         points_mm: super::patient(&mesh.mesh.vertices, self.origin),
                         triangles: &mesh.mesh.triangles,
                         arrays: vec![VtuArray::Vectors("displacement_mm".into(), moved)],
+                        ..PointCloud::default()
                     },
                 ));
             }
@@ -204,11 +206,15 @@ impl Session {
         out
     }
 
-    /// The particles of all organs in patient mm with displacement, speed and body.
+    /// What is computed, in patient mm: the particles of all organs with displacement, speed and body, or the FEM mesh with
+    /// displacement and speed, region and volume ratio of its tets.
     ///
     /// # Errors
     /// A GPU that was lost.
-    pub fn particle_cloud(&self, rest: &RestShape) -> Result<PointCloud<'static>, RehearseError> {
+    pub fn body_cloud(&self, rest: &RestShape) -> Result<(&'static str, PointCloud<'static>), RehearseError> {
+        if let Engine::Tissue(t) = &self.engine {
+            return Ok(("tissue", t.cloud()));
+        }
         let at = self.engine.positions()?;
         let mut body = vec![0.0; at.len()];
         for (n, b) in self.engine.bodies().iter().enumerate() {
@@ -218,15 +224,16 @@ impl Session {
         }
         let velocities = self.engine.velocities()?;
         let speed = velocities.iter().map(|&v| Vec3::from(v).length()).collect();
-        Ok(PointCloud {
+        let cloud = PointCloud {
             points_mm: super::patient(&at, self.origin),
-            triangles: &[],
             arrays: vec![
                 VtuArray::Vectors("displacement_mm".into(), displacement(&at, &rest.particles)),
                 VtuArray::Scalars("speed_mm_s".into(), speed),
                 VtuArray::Scalars("body".into(), body),
             ],
-        })
+            ..PointCloud::default()
+        };
+        Ok(("particles", cloud))
     }
 
     /// The supports in patient mm.
@@ -236,7 +243,7 @@ impl Session {
             .map(|m| PointCloud {
                 points_mm: super::patient(&m.vertices, self.origin),
                 triangles: &m.triangles,
-                arrays: Vec::new(),
+                ..PointCloud::default()
             })
             .collect()
     }
@@ -273,6 +280,7 @@ impl Session {
 #[derive(Clone, Debug, Default)]
 pub struct RestShape {
     surfaces: Vec<Vec<Vec<[f32; 3]>>>,
+    /// None of finite elements, which know their rest shape.
     particles: Vec<[f32; 3]>,
 }
 

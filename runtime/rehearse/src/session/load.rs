@@ -70,6 +70,10 @@ pub fn load(source: &SceneSource, package: Option<&Path>) -> Result<(Scene, Vec<
         scene.support = file.to_string_lossy().into_owned();
     }
     scene.solver.gravity_mm_s2 = scene.gravity.vector_mm_s2();
+    if scene.is_fem() {
+        let gravity_mm_s2 = scene.gravity.on_tissue_mm_s2();
+        scene.tissue.get_or_insert_default().solver.gravity_mm_s2 = gravity_mm_s2;
+    }
     Ok((scene, loaded))
 }
 

@@ -6,7 +6,9 @@ mod geometry;
 mod imaging;
 mod load;
 mod organ;
+mod setup;
 mod support;
+mod tissue;
 mod tool;
 
 pub use engine::Device;
@@ -14,19 +16,19 @@ pub use geometry::{CroppedImage, RestShape};
 pub use load::{Loaded, load};
 pub use support::Balance;
 
+use crate::RehearseError;
 use crate::motion::{RigidPose, Timeline};
 use crate::render::Mesh;
 use crate::scene::{ContactState, Scene};
-use crate::trace::{Contact, StageRow, StepRow, StepTimes, Trace};
-use crate::{Progress, RehearseError};
-use engine::{Engine, GpuEngine};
+use crate::trace::{Contact, StepRow, StepTimes, Trace};
+use engine::Engine;
 use glam::{DVec3, Vec3};
 use imaging::Imaging;
 use organ::Organ;
 use palpate_gpu::Gpu;
-use palpate_pbd::{Collider, Pose, SoftBody, Solver};
+use palpate_pbd::Pose;
 use std::time::Instant;
-use tool::{Form, Target, first_contact, solver_pose, start_pose};
+use tool::{Form, Target, first_contact, solver_pose};
 
 /// An instrument in the session.
 struct Tool {
@@ -50,6 +52,8 @@ pub struct SessionSize {
     pub clusters: usize,
     /// Memberships.
     pub memberships: usize,
+    /// Nodes, tets and held nodes of finite elements as the session began; none of particles.
+    pub fem: Option<[usize; 3]>,
 }
 
 /// Packages, solver, support and instruments, ready to be stepped. The world is patient RAS mm less the first package's
@@ -73,143 +77,10 @@ pub struct Session {
     balance: Option<Balance>,
     trace: Trace,
     warnings: Vec<String>,
+    materials: Vec<String>,
 }
 
 impl Session {
-    /// Sets a session up on the CPU with this many threads (0: one per core).
-    ///
-    /// # Errors
-    /// A package without organ surface; whatever the solver or the ultrasound refuses.
-    pub fn new(scene: Scene, packages: &[Loaded], threads: usize) -> Result<Self, RehearseError> {
-        Self::on(&Device::Cpu { threads }, scene, packages)
-    }
-
-    /// Sets a session up on a device.
-    ///
-    /// # Errors
-    /// As [`Session::new`]; a GPU that is lost, too small or out of memory.
-    pub fn on(device: &Device, scene: Scene, packages: &[Loaded]) -> Result<Self, RehearseError> {
-        Self::prepare(device, scene, packages, &Progress::counting(true))
-    }
-
-    /// As [`Session::on`], with word of how far it is: the search for rest shapes runs the solver.
-    ///
-    /// # Errors
-    /// As [`Session::on`].
-    pub fn prepare(
-        device: &Device,
-        scene: Scene,
-        packages: &[Loaded],
-        progress: &Progress,
-    ) -> Result<Self, RehearseError> {
-        let first = packages.first().ok_or_else(|| RehearseError::Unusable {
-            problem: "the scene names no package; give one with --package".into(),
-            path: scene.name.clone().into(),
-        })?;
-        let origin = DVec3::from_array(first.model.info.local_origin_mm);
-        let splits = scene.image.as_ref().map_or(0, |i| i.embedding_splits);
-        let embeddings = packages
-            .iter()
-            .map(|p| load::embedding(&p.model, splits))
-            .collect::<Result<Vec<_>, _>>()?;
-        let (mut organs, mut bodies) = (Vec::new(), Vec::new());
-        for (n, (loaded, entry)) in packages.iter().zip(&scene.packages).enumerate() {
-            // Structures are named in the first package only.
-            let stiffness = scene.stiffness.clone();
-            let fiducials = (n == 0).then_some(scene.fiducials);
-            let (organ, body) = Organ::new(loaded, &embeddings[n], entry, &stiffness, fiducials, origin)?;
-            organs.push(organ);
-            bodies.push(body);
-        }
-        let size = SessionSize {
-            radius_mm: bodies[0].spacing_mm(),
-            particles: bodies.iter().map(SoftBody::particle_count).sum(),
-            clusters: bodies.iter().map(SoftBody::cluster_count).sum(),
-            memberships: bodies.iter().map(SoftBody::membership_count).sum(),
-        };
-        let contact_mm = load::particle_depth_mm(&first.model);
-        let mut supports = support::supports(&scene, first, &organs, &bodies, contact_mm, origin)?;
-        let mut warnings = load::cautions(first);
-        let balance = support::balance(
-            &scene,
-            &mut organs,
-            &mut bodies,
-            &supports.colliders,
-            match device {
-                Device::Cpu { threads } => *threads,
-                Device::Gpu(_) => 0,
-            },
-            progress,
-        )?;
-        warnings.extend(balance.as_ref().and_then(Balance::caution));
-        let lead = &organs[0];
-        let tools = tools(
-            &scene,
-            lead,
-            origin,
-            contact_mm,
-            &mut supports.colliders,
-            &mut warnings,
-        )?;
-        let settings = palpate_pbd::Settings {
-            gravity_mm_s2: scene.gravity.vector_mm_s2(),
-            ..scene.solver.clone()
-        };
-        let timeline = Timeline::new(&scene, settings.dt_s);
-        let imaging = Imaging::new(&scene, packages, &embeddings)?;
-        let bodies = palpate_pbd::Scene::new(bodies, supports.colliders);
-        let engine = match device {
-            Device::Cpu { threads } => {
-                Engine::Cpu(Box::new(Solver::with_threads(bodies, settings, *threads)?))
-            }
-            Device::Gpu(gpu) => {
-                let made = GpuEngine::new(gpu, &bodies, &settings, &organs, imaging.as_ref())?;
-                if let Some(why) = imaging.as_ref().and_then(Imaging::by_cpu) {
-                    warnings.push(format!("The CPU makes the ultrasound image: {why}."));
-                }
-                Engine::Gpu(Box::new(made))
-            }
-        };
-        warnings.extend(engine.cautions());
-        let lead = &organs[0];
-        let trace = Trace {
-            device: engine.device(),
-            instruments: tools.iter().map(|t| t.name.clone()).collect(),
-            fiducials: lead.fiducial_names.clone(),
-            fiducials_rest_mm: patient(&lead.fiducials.points, origin),
-            stages: timeline
-                .stages()
-                .iter()
-                .map(|s| StageRow {
-                    name: s.name.clone(),
-                    indentation_mm: s.indentation_mm,
-                    last_step: s.last_step,
-                })
-                .collect(),
-            steps: Vec::with_capacity(timeline.steps() as usize),
-        };
-        let mut out = Self {
-            scene,
-            timeline,
-            engine,
-            organs,
-            shown: 0,
-            supports: supports.meshes,
-            tools,
-            imaging,
-            origin,
-            contact_mm,
-            size,
-            step: 0,
-            seat_mm: 0.0,
-            balance,
-            trace,
-            warnings,
-        };
-        out.scan()?;
-        Ok(out)
-    }
-
     /// The scene, gravity and solver settings as used.
     pub fn scene(&self) -> &Scene {
         &self.scene
@@ -235,7 +106,7 @@ impl Session {
         self.imaging.as_ref().map(|_| match &self.engine {
             Engine::Gpu(gpu) if gpu.has_scanner() => "the GPU, with the step",
             Engine::Gpu(_) => "the CPU, from vertices that the GPU gives back with the step",
-            Engine::Cpu(_) => "the CPU",
+            Engine::Cpu(_) | Engine::Tissue(_) => "the CPU",
         })
     }
 
@@ -262,6 +133,11 @@ impl Session {
     /// Distance kept between solids and particle centres, mm: how deep particles lie below the organ's surface on average.
     pub fn contact_distance_mm(&self) -> f64 {
         self.contact_mm
+    }
+
+    /// Materials of finite elements in words, by region; none of particles.
+    pub fn materials(&self) -> &[String] {
+        &self.materials
     }
 
     /// How large the solver's problem is.
@@ -393,6 +269,12 @@ impl Session {
                     solver_s: t.total_s,
                 }
             }
+            Engine::Tissue(tissue) => {
+                tissue.step()?;
+                tissue.carry(&mut self.organs);
+                self.shown = self.step;
+                tissue.times()
+            }
             Engine::Gpu(gpu) => {
                 if let Some(i) = &self.imaging {
                     gpu.aim(&i.pose(&self.tools, self.origin)?)?;
@@ -491,7 +373,11 @@ impl Session {
                 }
             })
             .collect();
-        let clamps = self.engine.clamps();
+        let inverted_tets = match &self.engine {
+            Engine::Tissue(t) => t.inverted(),
+            _ => 0,
+        };
+        let in_image = self.imaging.as_ref().map_or(0, |i| i.inverted_tets);
         StepRow {
             step: self.step,
             time_s: self.timeline.time_s(self.step),
@@ -505,12 +391,8 @@ impl Session {
             contacts,
             times,
             fiducials_mm: patient(&self.organs[0].fiducials.points, self.origin),
-            clamps: clamps.speed
-                + clamps.acceleration
-                + clamps.not_finite
-                + clamps.shape_contacts
-                + clamps.particle_contacts,
-            inverted_tets: self.imaging.as_ref().map_or(0, |i| i.inverted_tets),
+            clamps: self.engine.clamps(),
+            inverted_tets: inverted_tets.max(in_image),
             digest: self.engine.digest(),
         }
     }
@@ -521,65 +403,4 @@ fn patient(points: &[[f32; 3]], origin: DVec3) -> Vec<[f64; 3]> {
         .iter()
         .map(|&p| (Vec3::from(p).as_dvec3() + origin).to_array())
         .collect()
-}
-
-fn tools(
-    scene: &Scene,
-    lead: &Organ,
-    origin: DVec3,
-    contact_mm: f64,
-    colliders: &mut Vec<Collider>,
-    warnings: &mut Vec<String>,
-) -> Result<Vec<Tool>, RehearseError> {
-    let mut structures: Vec<(String, Vec<[f32; 3]>)> = lead
-        .structures
-        .iter()
-        .map(|s| (s.name.clone(), s.mesh.vertices.clone()))
-        .collect();
-    // The largest first, of equals the first.
-    structures.sort_by(|a, b| extent(&b.1).total_cmp(&extent(&a.1)));
-    let target = Target {
-        vertices: &lead.surface.mesh.vertices,
-        triangles: &lead.surface.mesh.triangles,
-        structures: &structures,
-    };
-    let mut out = Vec::new();
-    for i in &scene.instruments {
-        let form = Form::new(i);
-        let start = start_pose(&i.pose, &form, &target, origin);
-        if first_contact(&form, start, &target).is_none() {
-            warnings.push(format!(
-                "instrument \"{}\" does not meet the organ on its way along its axis",
-                i.name
-            ));
-        }
-        let (shape, inner) = form.collider()?;
-        let at = solver_pose(RigidPose {
-            position: start.apply(inner),
-            ..start
-        });
-        let mut collider = Collider::moving(&i.name, shape, at);
-        collider.friction = i.friction;
-        collider.collision_distance_mm = Some(i.collision_distance_mm.unwrap_or(contact_mm));
-        out.push(Tool {
-            name: i.name.clone(),
-            collider: colliders.len(),
-            start,
-            inner,
-            now: start,
-            mesh: form.mesh(),
-        });
-        colliders.push(collider);
-    }
-    Ok(out)
-}
-
-/// Product of the box's sides.
-fn extent(points: &[[f32; 3]]) -> f32 {
-    let (lo, hi) = points
-        .iter()
-        .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(lo, hi), &p| {
-            (lo.min(p.into()), hi.max(p.into()))
-        });
-    (hi - lo).max(Vec3::ZERO).to_array().iter().product()
 }
