@@ -30,12 +30,22 @@ fn main() -> Result<(), Failure> {
     );
     let rest = &package.embedding.vertices;
     let origin = package.info.local_origin_mm;
-    // The organ's front: where a probe that comes from the front would touch first.
-    let organ = package.organ().ok_or("the package has no organ surface")?;
-    let top = organ.vertices.iter().fold(
-        [0.0, f32::NEG_INFINITY, 0.0],
-        |b, &p| if p[1] > b[1] { p } else { b },
-    );
+    // In front of the border between the largest structure and the rest of the organ; without a structure at the organ's
+    // front, where a probe that comes from the front would touch first. The plane runs along the line between the two.
+    let organ = &package
+        .organ()
+        .ok_or("the package has no organ surface")?
+        .vertices;
+    let structure = package.structures().map(|s| &s.vertices).max_by_key(|v| v.len());
+    let (at, lateral) = border(organ, structure);
+    let top = organ
+        .iter()
+        .filter(|p| at.is_none_or(|q| (p[0] - q[0]).hypot(p[2] - q[2]) < 10.0))
+        .fold(
+            [0.0, f32::NEG_INFINITY, 0.0],
+            |b, &p| if p[1] > b[1] { p } else { b },
+        );
+    let top = if top[1].is_finite() { top } else { organ[0] };
     let dent = 8.0;
     let deformed: Vec<[f32; 3]> = rest
         .iter()
@@ -45,7 +55,7 @@ fn main() -> Result<(), Failure> {
         })
         .collect();
     let face = [0, 1, 2].map(|a| origin[a] + f64::from(top[a]) - if a == 1 { f64::from(dent) } else { 0.0 });
-    let pose = ProbePose::looking(face, [0.0, -1.0, 0.0], [0.0, 0.0, 1.0])?;
+    let pose = ProbePose::looking(face, [0.0, -1.0, 0.0], lateral)?;
     let probes = [("linear", Probe::default()), ("curvilinear", Probe::abdominal())];
     for (kind, probe) in probes {
         println!(
@@ -79,6 +89,21 @@ fn main() -> Result<(), Failure> {
         }
     }
     Ok(())
+}
+
+/// Where the structure ends towards most of the organ, and the direction there, across the anterior axis.
+fn border(organ: &[[f32; 3]], structure: Option<&Vec<[f32; 3]>>) -> (Option<[f32; 3]>, [f64; 3]) {
+    let mean =
+        |v: &[[f32; 3]]| [0, 1, 2].map(|a| v.iter().map(|p| p[a]).sum::<f32>() / v.len().max(1) as f32);
+    let Some(structure) = structure else {
+        return (None, [0.0, 0.0, 1.0]);
+    };
+    let (c, o) = (mean(structure), mean(organ));
+    let length = (o[0] - c[0]).hypot(o[2] - c[2]).max(1e-3);
+    let d = [(o[0] - c[0]) / length, 0.0, (o[2] - c[2]) / length];
+    let along = |p: &[f32; 3]| (p[0] - c[0]) * d[0] + (p[2] - c[2]) * d[2];
+    let reach = structure.iter().map(along).fold(0.0, f32::max);
+    (Some([0, 1, 2].map(|a| c[a] + reach * d[a])), d.map(f64::from))
 }
 
 /// Median time of 40 runs after 3, ms.

@@ -116,7 +116,8 @@ pub struct AcousticSettings {
     pub tgc_db_cm_mhz: f64,
     /// Most gain that the compensation gives, dB.
     pub tgc_most_db: f64,
-    /// Echo of unit scatter below that of a perfect reflector, dB.
+    /// Echo of unit scatter below that of a perfect reflector, dB: kidney's then lies 47 dB below it, and its capsule against
+    /// fat stands out as a bright line.
     pub scatter_db: f64,
     /// Standard deviation of the pulse's envelope along the beam, wavelengths.
     pub axial_sigma_wavelengths: f64,
@@ -145,11 +146,11 @@ impl Default for AcousticSettings {
             shadow_transmission: 1e-3,
             tgc_db_cm_mhz: 0.7,
             tgc_most_db: 100.0,
-            scatter_db: -30.0,
+            scatter_db: -36.0,
             axial_sigma_wavelengths: 0.75,
             lateral_sigma_near_wavelengths: 2.0,
             lateral_sigma_far_wavelengths: 4.0,
-            white_db: -15.0,
+            white_db: -18.0,
             dynamic_range_db: 60.0,
             seed: 0,
         }

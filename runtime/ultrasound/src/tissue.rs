@@ -62,10 +62,18 @@ pub struct TissueTable {
 
 impl Default for TissueTable {
     /// Impedance, attenuation, speed and scatter of water to bone as coded in open ultrasound simulators; kidney and air
-    /// from memory of textbooks. Fat scatters as the curve by CT value has it, 6 dB more than kidney: with
-    /// the simulators' 1.0 it glares. `soft` and `tumour` are assumptions between kidney and muscle. Nominal HU are
-    /// unenhanced textbook means. The density curve is the usual piecewise line; speed, attenuation and scatter follow
-    /// the tissue rows at their CT values.
+    /// from memory of textbooks. `soft` and `tumour` are assumptions.
+    ///
+    /// Echo levels follow what radiologists describe, in steps of a few dB that are assumptions: cortex a little darker
+    /// than liver, fat around it brightest (7 dB above kidney; with the simulators' 1.0 it would be 11 and glare), a tumour
+    /// 4 dB below kidney with a line around it, as the pseudocapsule of renal cell carcinoma is seen in most small ones
+    /// (Yamashita et al. 1992): for the line its impedance stands further off kidney's than has been measured. Tumours
+    /// that are brighter than kidney are as common; `regions` and `tissues` of a scene change it. Kidney's attenuation is
+    /// the middle of the 0.4 to 1.0 in textbooks: nearer to the default gain by depth than 1.0, as a
+    /// sonographer would set it, else an organ of 10 cm darkens by 20 dB.
+    ///
+    /// Nominal HU are unenhanced textbook means. The density curve is the usual piecewise line; speed, attenuation and
+    /// scatter follow the tissue rows at their CT values.
     fn default() -> Self {
         let row = |name: &str, hu, z, a, c, share, sigma| Tissue {
             name: name.to_owned(),
@@ -91,9 +99,9 @@ impl Default for TissueTable {
                 row("liver", 60, 1.65, 0.70, 1550.0, 0.7, 0.3),
                 row("muscle", 55, 1.70, 1.09, 1580.0, 0.5, 0.4),
                 row("bone", 700, 7.80, 5.0, 4080.0, 0.8, 0.5),
-                row("kidney", 35, 1.62, 1.0, 1560.0, 0.6, 0.4),
+                row("kidney", 35, 1.62, 0.7, 1560.0, 0.6, 0.36),
                 row("air", -1000, 0.0004, 12.0, 330.0, 0.0, 0.0),
-                row("tumour", 60, 1.66, 0.8, 1560.0, 0.6, 0.2),
+                row("tumour", 60, 1.70, 0.7, 1560.0, 0.6, 0.22),
                 row("soft", 50, 1.63, 0.8, 1540.0, 0.6, 0.35),
             ],
             regions: BTreeMap::new(),

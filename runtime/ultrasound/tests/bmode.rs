@@ -137,7 +137,7 @@ fn a_plane_interface_reflects_and_transmits_by_the_formula() {
     let image = s.image(&[&p.embedding.vertices], &pose()).unwrap();
     let e = image.echoes().unwrap();
     let r = acoustics::normal_reflection(f64::from(z1), f64::from(z2));
-    let scatter = 0.5 * 10f64.powf(-30.0 / 20.0);
+    let scatter = 0.5 * 10f64.powf(plain().scatter_db / 20.0);
     let line = &e.amplitude[64 * e.samples..65 * e.samples];
     let (peak, at) = line
         .iter()
@@ -319,8 +319,8 @@ fn speckle_is_rayleigh_distributed() {
             (ratio - 1.913).abs() < 0.03,
             "{planes} planes along {axis:?}: {ratio}"
         );
-        // Echo power: (0.5 · −30 dB)², within 1 dB in every direction.
-        let want = -30.0 + db(0.5);
+        // Echo power: that of the scatter, within 1 dB in every direction.
+        let want = plain().scatter_db + db(0.5);
         assert!(
             (10.0 * power.log10() - want).abs() < 1.0,
             "{} {want}",
@@ -457,7 +457,7 @@ fn a_ball_is_at_its_pixel() {
     {
         let acoustic = AcousticSettings {
             tgc_db_cm_mhz: 0.3,
-            white_db: -20.0,
+            white_db: -26.0,
             dynamic_range_db: 40.0,
             ..AcousticSettings::default()
         };
