@@ -83,7 +83,17 @@ pub(super) struct Search<'a> {
     pub tried: u32,
     /// A node of another needle for which a candidate was refused.
     pub blocked: Option<u32>,
-    pinned: Vec<(u32, bool)>,
+    grips: Vec<(u32, Grip)>,
+}
+
+/// What keeps a node where it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Grip {
+    Free,
+    /// Regions meet there.
+    Interface,
+    /// On the boundary, held, or another needle's.
+    Fixed,
 }
 
 impl<'a> Search<'a> {
@@ -94,19 +104,32 @@ impl<'a> Search<'a> {
             volume_change: 1e-12,
             tried: 0,
             blocked: None,
-            pinned: Vec::new(),
+            grips: Vec::new(),
         }
     }
 
-    /// Whether a node must keep its place: on the boundary, where regions meet, held, or another needle's.
-    pub fn pinned(&mut self, node: u32) -> bool {
-        if let Some(known) = self.pinned.iter().find(|p| p.0 == node) {
+    /// What keeps a node where it is.
+    pub fn grip(&mut self, node: u32) -> Grip {
+        if let Some(known) = self.grips.iter().find(|g| g.0 == node) {
             return known.1;
         }
-        let pinned =
-            self.sim.is_held(node) || self.track.foreign.contains(&node) || !enclosed(self.sim.mesh(), node);
-        self.pinned.push((node, pinned));
-        pinned
+        let fixed = self.sim.is_held(node) || self.track.foreign.contains(&node);
+        let grip = if fixed {
+            Grip::Fixed
+        } else {
+            surroundings(self.sim.mesh(), node)
+        };
+        self.grips.push((node, grip));
+        grip
+    }
+
+    fn is_free(&mut self, node: u32) -> bool {
+        self.grip(node) == Grip::Free
+    }
+
+    /// Whether interfaces may give way a little.
+    fn yields(&self) -> bool {
+        self.track.params.interface_volume_change > 0.0
     }
 
     /// All valid candidates for a place of the tip.
@@ -119,10 +142,16 @@ impl<'a> Search<'a> {
             return;
         };
         let inside = matches!(goal.site, Site::Inside(..));
-        if inside && n >= 2 && !self.pinned(tip) {
+        if inside && n >= 2 && self.is_free(tip) {
             let mut overlay = base.clone();
             overlay.move_to(tip, goal.rest);
-            self.offer(overlay, Operation::TipSnap, None, n - 1, tip, false, out);
+            // Beyond Algorithm 2: the node before the tip may come along, which puts off most splits.
+            let mut slid = overlay.clone();
+            self.offer(overlay, Operation::TipSnap, None, n - 1, tip, false, 0.0, out);
+            if n >= 3 {
+                self.slide(&mut slid, n - 1, goal.rest);
+                self.offer(slid, Operation::TipSnap, None, n - 1, tip, false, 0.0, out);
+            }
         }
         let undone = if n >= 2 { self.undone() } else { None };
         match motion {
@@ -168,6 +197,10 @@ impl<'a> Search<'a> {
         after: After,
         out: &mut Vec<Candidate<'a>>,
     ) {
+        let limit = match goal.site {
+            Site::Inside(..) => self.track.params.interface_volume_change.max(1e-12),
+            _ => self.volume_change,
+        };
         for kind in kinds(&goal.site) {
             self.tried += 1;
             let mut overlay = base.clone();
@@ -183,7 +216,12 @@ impl<'a> Search<'a> {
                         kept -= 1;
                     }
                     let freed = matches!(after, After::Free(f) if f == c);
-                    if freed || self.track.chain[..kept].contains(&c) || self.pinned(c) {
+                    let stays = match self.grip(c) {
+                        Grip::Free => false,
+                        Grip::Interface => !self.yields() || self.track.originals.contains_key(&c),
+                        Grip::Fixed => true,
+                    };
+                    if freed || stays || self.track.chain[..kept].contains(&c) {
                         continue;
                     }
                     overlay.move_to(c, goal.rest);
@@ -207,12 +245,12 @@ impl<'a> Search<'a> {
                     if chain.windows(2).any(|w| w.iter().all(|n| edge.contains(n))) {
                         continue;
                     }
-                    match split_edge(&mut overlay, edge, goal.rest, exact) {
+                    match split_edge(&mut overlay, edge, goal.rest, exact, self.yields()) {
                         Some(parents) => (Operation::EdgeSplit, Some(parents), NEW),
                         None => continue,
                     }
                 }
-                Kind::Face(face) => match split_face(&mut overlay, face, goal.rest, exact) {
+                Kind::Face(face) => match split_face(&mut overlay, face, goal.rest, exact, self.yields()) {
                     Some(parents) => (Operation::FaceSplit, Some(parents), NEW),
                     None => continue,
                 },
@@ -230,17 +268,17 @@ impl<'a> Search<'a> {
             }
             match after {
                 After::Slide if kept >= 2 => self.slide(&mut overlay, kept, goal.rest),
-                After::Free(node) if !self.pinned(node) => self.free(&mut overlay, node),
+                After::Free(node) => self.free(&mut overlay, node),
                 _ => {}
             }
-            self.offer(overlay, operation, parents, kept, tip, undoes, out);
+            self.offer(overlay, operation, parents, kept, tip, undoes, limit, out);
         }
     }
 
     /// Moves the last node that stays to the best place between the tip and the node before it.
     fn slide(&mut self, overlay: &mut Overlay<'a>, kept: usize, tip: DVec3) {
         let node = self.track.chain[kept - 1];
-        if self.pinned(node) {
+        if !self.is_free(node) {
             return;
         }
         let before = overlay.rest(self.track.chain[kept - 2]);
@@ -250,10 +288,22 @@ impl<'a> Search<'a> {
         overlay.move_to(node, best);
     }
 
-    /// Moves a node that has left the needle to where the tets around it are best, its first place among the starts.
-    pub fn free(&self, overlay: &mut Overlay<'a>, node: u32) {
+    /// Moves a node that has left the needle to where the tets around it are best, its first place among the starts; a node of an
+    /// interface to its first place if it fits there.
+    pub fn free(&mut self, overlay: &mut Overlay<'a>, node: u32) {
+        let first = self.track.originals.get(&node).copied();
+        match (self.grip(node), first) {
+            (Grip::Free, _) => {}
+            (Grip::Interface, Some(first))
+                if overlay.star(node).worst(first) > self.track.params.least_quality =>
+            {
+                overlay.move_to(node, first);
+                return;
+            }
+            _ => return,
+        }
         let mut starts = vec![overlay.rest(node)];
-        starts.extend(self.track.originals.get(&node));
+        starts.extend(first);
         let star = overlay.star(node);
         let reach = star
             .tets
@@ -272,6 +322,7 @@ impl<'a> Search<'a> {
         kept: usize,
         tip: u32,
         undoes: bool,
+        limit: f64,
         out: &mut Vec<Candidate<'a>>,
     ) {
         let Some(weighed) = overlay.weigh(self.track.params.least_quality) else {
@@ -281,14 +332,18 @@ impl<'a> Search<'a> {
             operation,
             Operation::TetSplit | Operation::TipSnap | Operation::Join
         );
-        if !exact && overlay.volume_change(&weighed.changed) > self.volume_change {
+        if !exact && overlay.volume_change(&weighed.changed) > limit {
             return;
         }
         if !self.track.foreign.is_empty() {
+            // A node joined where it is changes no tet now, but all around it will be in the way of the other.
+            let joined = overlay.mesh.around(tip).iter().map(|e| e.tet);
             let corners = weighed
                 .changed
                 .iter()
-                .filter_map(|&t| overlay.mesh.tet(t))
+                .copied()
+                .chain(joined.filter(|_| operation == Operation::Join))
+                .filter_map(|t| overlay.mesh.tet(t))
                 .flat_map(|t| t.corners);
             if let Some(node) = corners.chain([tip]).find(|n| self.track.foreign.contains(n)) {
                 self.blocked = Some(node);
@@ -360,8 +415,8 @@ fn uniform(tets: &[(u32, Tet)]) -> bool {
     tets.windows(2).all(|w| w[0].1.region == w[1].1.region)
 }
 
-/// Splits the tets around an edge; unless `any`, only an edge inside one region.
-fn split_edge(overlay: &mut Overlay, edge: [u32; 2], at: DVec3, any: bool) -> Option<Vec<Tet>> {
+/// Splits the tets around an edge: inside one region, or, as told, where regions meet or at `any` place.
+fn split_edge(overlay: &mut Overlay, edge: [u32; 2], at: DVec3, any: bool, mixed: bool) -> Option<Vec<Tet>> {
     let ring = overlay.holding(&edge);
     let mut link: Vec<u32> = ring
         .iter()
@@ -370,17 +425,17 @@ fn split_edge(overlay: &mut Overlay, edge: [u32; 2], at: DVec3, any: bool) -> Op
         .collect();
     link.sort_unstable();
     link.dedup();
-    let inner = uniform(&ring) && link.len() == ring.len();
+    let inner = (mixed || uniform(&ring)) && link.len() == ring.len();
     if ring.is_empty() || !(any || inner) {
         return None;
     }
     split(overlay, &ring, &edge, at)
 }
 
-/// Splits the one or two tets at a face; unless `any`, only a face inside one region.
-fn split_face(overlay: &mut Overlay, face: [u32; 3], at: DVec3, any: bool) -> Option<Vec<Tet>> {
+/// Splits the one or two tets at a face: inside one region, or, as told, where regions meet or at `any` place.
+fn split_face(overlay: &mut Overlay, face: [u32; 3], at: DVec3, any: bool, mixed: bool) -> Option<Vec<Tet>> {
     let sides = overlay.holding(&face);
-    let inner = uniform(&sides) && sides.len() == 2;
+    let inner = (mixed || uniform(&sides)) && sides.len() == 2;
     if sides.is_empty() || !(any || inner) {
         return None;
     }
@@ -402,8 +457,8 @@ fn split(overlay: &mut Overlay, tets: &[(u32, Tet)], simplex: &[u32], at: DVec3)
     Some(tets.iter().map(|t| t.1).collect())
 }
 
-/// Whether all tets around a node are of one region and enclose it.
-pub(super) fn enclosed(mesh: &TissueMesh, node: u32) -> bool {
+/// Whether a node lies on the boundary or where regions meet.
+pub(super) fn surroundings(mesh: &TissueMesh, node: u32) -> Grip {
     let tets: Vec<Tet> = mesh.around(node).iter().filter_map(|e| mesh.tet(e.tet)).collect();
     let mut faces: Vec<[u32; 2]> = Vec::with_capacity(3 * tets.len());
     for t in &tets {
@@ -419,9 +474,13 @@ pub(super) fn enclosed(mesh: &TissueMesh, node: u32) -> bool {
         faces.extend([[a, b], [a, c], [b, c]].map(|[p, q]| [p.min(q), p.max(q)]));
     }
     faces.sort_unstable();
-    !tets.is_empty()
-        && tets.iter().all(|t| t.region == tets[0].region)
-        && faces.chunk_by(|a, b| a == b).all(|run| run.len() == 2)
+    if tets.is_empty() || faces.chunk_by(|a, b| a == b).any(|run| run.len() != 2) {
+        Grip::Fixed
+    } else if tets.iter().any(|t| t.region != tets[0].region) {
+        Grip::Interface
+    } else {
+        Grip::Free
+    }
 }
 
 /// The candidate whose tets, together with those that only others change, have the best qualities: worst first, then the second

@@ -178,13 +178,9 @@ impl Track {
         self.chain.pop();
         let place = {
             let mut search = Search::new(sim, self);
-            if search.pinned(tip) {
-                None
-            } else {
-                let mut overlay = Overlay::new(sim.mesh());
-                search.free(&mut overlay, tip);
-                overlay.moved.first().map(|m| m.1)
-            }
+            let mut overlay = Overlay::new(sim.mesh());
+            search.free(&mut overlay, tip);
+            overlay.moved.first().map(|m| m.1)
         };
         if let Some(rest) = place {
             let state = state_of(sim, tip, rest)?;

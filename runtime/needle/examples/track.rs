@@ -1,0 +1,188 @@
+//! Straight and curved needles pushed into a mesh and drawn out again, without forces: time of the remeshing, quality of the mesh.
+//!
+//! `cargo run --release --example track [package.palpate] [mm per step]`; without a package, a block of 13 182 tets.
+
+use glam::{DMat3, DQuat, DVec3};
+use palpate_fem::{Material, NodeState, Settings, Simulation, TissueMesh};
+use palpate_needle::{Operation, Track, TrackParams, locate};
+use palpate_package::ModelPackage;
+use std::collections::BTreeMap;
+use std::time::Instant;
+
+/// Steps in, and out again.
+const STEPS: usize = 200;
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let mut args = std::env::args().skip(1);
+    let package = args.next();
+    let step_mm: f64 = args.next().map_or(Ok(0.2), |a| a.parse())?;
+    let mesh = match package.as_deref() {
+        None | Some("block") => block()?,
+        Some(path) => TissueMesh::from_package(&ModelPackage::read(path)?)?,
+    };
+    let regions = mesh.tets().map(|(_, t)| t.region).max().unwrap_or(0);
+    println!("{} tets, {} regions", mesh.tets().count(), regions + 1);
+    println!("angles at the start {:.1?}", angles(&mesh));
+    let mut total = BTreeMap::new();
+    let (mut times, mut least, mut most) = (Vec::new(), 180.0f64, 0.0f64);
+    for needle in 0..12 {
+        let materials = vec![Material::default(); regions as usize + 1];
+        let mut sim = Simulation::new(mesh.clone(), materials, Settings::default())?;
+        let Some((start, direction)) = aim(&mesh, needle) else {
+            continue;
+        };
+        let mut track = Track::puncture(&mut sim, start, TrackParams::default())?;
+        // Half of the needles are straight, half turn on a radius of 100 mm.
+        let turn = if needle % 2 == 0 { 0.0 } else { step_mm / 100.0 };
+        let turn = DQuat::from_axis_angle(direction.any_orthonormal_vector(), turn);
+        let (mut at, mut direction) = (start, direction);
+        let mut path = Vec::new();
+        let mut worst = (180.0f64, 0.0f64);
+        let mut counts: BTreeMap<String, u32> = BTreeMap::new();
+        let mut since_hole = 0;
+        for _ in 0..STEPS {
+            at += direction * step_mm;
+            direction = turn * direction;
+            let Some(tip) = state(&sim, at) else { break };
+            if tip.rest.distance(start) > 40.0 {
+                break;
+            }
+            let clock = Instant::now();
+            let report = track.advance(&mut sim, tip)?;
+            times.push(clock.elapsed().as_secs_f64() * 1e6);
+            path.push(at);
+            count(&mut counts, &report.operations, "");
+            *counts.entry("fallback".into()).or_default() += report.fallbacks;
+            *counts.entry("undone".into()).or_default() += report.undone;
+            *counts.entry("pierced".into()).or_default() += report.pierced;
+            since_hole = if report.pierced > 0 { 0 } else { since_hole + 1 };
+            if since_hole >= 20 {
+                let (low, high) = angles(sim.mesh());
+                worst = (worst.0.min(low), worst.1.max(high));
+            }
+        }
+        let (nodes, depth) = (track.nodes().len(), track.depth());
+        for at in path.into_iter().rev().skip(1) {
+            let Some(tip) = state(&sim, at) else { break };
+            let clock = Instant::now();
+            let report = track.retract(&mut sim, tip)?;
+            times.push(clock.elapsed().as_secs_f64() * 1e6);
+            count(&mut counts, &report.operations, "back ");
+            *counts.entry("back fallback".into()).or_default() += report.fallbacks;
+            *counts.entry("restored".into()).or_default() += report.restored;
+        }
+        let left = track.leave(&mut sim)?;
+        let farthest = left.displaced.iter().fold(0.0f64, |m, d| m.max(d.distance_mm));
+        println!(
+            "{needle:>2}: {nodes} nodes, depth {depth}, angles {:.1}..{:.1}; left {} nodes moved, farthest {farthest:.2} mm; restored {}",
+            worst.0,
+            worst.1,
+            left.displaced.len(),
+            left.restored,
+        );
+        (least, most) = (least.min(worst.0), most.max(worst.1));
+        for (k, v) in counts {
+            *total.entry(k).or_insert(0) += v;
+        }
+    }
+    times.sort_by(f64::total_cmp);
+    println!("{total:?}");
+    println!("angles {least:.1}..{most:.1}");
+    println!(
+        "µs a motion: median {:.0}, 99 % {:.0}, most {:.0}",
+        times[times.len() / 2],
+        times[times.len() * 99 / 100],
+        times[times.len() - 1]
+    );
+    Ok(())
+}
+
+fn count(counts: &mut BTreeMap<String, u32>, operations: &[Operation], prefix: &str) {
+    for o in operations {
+        *counts.entry(format!("{prefix}{o:?}")).or_default() += 1;
+    }
+}
+
+/// A place on the surface and the way to the middle of the mesh.
+fn aim(mesh: &TissueMesh, needle: usize) -> Option<(DVec3, DVec3)> {
+    let faces = mesh.boundary();
+    let face = *faces.get((needle * 7919 + 13) % faces.len())?;
+    let rest = mesh.rest();
+    let [a, b, c] = face.map(|n| rest[n as usize]);
+    let s = (needle as f64 * 0.618).fract() * 0.8 + 0.1;
+    let start = a * (1.0 - s) + (b * 0.3 + c * 0.7) * s;
+    let middle = rest.iter().sum::<DVec3>() / rest.len() as f64;
+    let inward = -(b - a).cross(c - a).normalize();
+    let way = (middle - start).normalize();
+    Some((start, (way + inward * 0.5).normalize()))
+}
+
+fn state(sim: &Simulation, at: DVec3) -> Option<NodeState> {
+    let (slot, w) = locate(sim, at, 0)?;
+    let corners = sim.mesh().tet(slot)?.corners;
+    let mut rest = DVec3::ZERO;
+    for (n, w) in corners.into_iter().zip(w) {
+        rest += sim.mesh().rest()[n as usize] * w;
+    }
+    Some(NodeState {
+        rest,
+        position: at,
+        ..NodeState::default()
+    })
+}
+
+/// Smallest and largest dihedral angle, degrees.
+fn angles(mesh: &TissueMesh) -> (f64, f64) {
+    let (mut least, mut most) = (180.0f64, 0.0f64);
+    for (_, t) in mesh.tets() {
+        let x = t.corners.map(|n| mesh.rest()[n as usize]);
+        let g = DMat3::from_cols(x[1] - x[0], x[2] - x[0], x[3] - x[0])
+            .inverse()
+            .transpose();
+        let mut n = [-(g.x_axis + g.y_axis + g.z_axis), g.x_axis, g.y_axis, g.z_axis];
+        n = n.map(DVec3::normalize);
+        for i in 1..4 {
+            for j in 0..i {
+                let angle = (-n[i].dot(n[j])).clamp(-1.0, 1.0).acos().to_degrees();
+                (least, most) = (least.min(angle), most.max(angle));
+            }
+        }
+    }
+    (least, most)
+}
+
+/// 13³ cubes of 4 mm, each cut into six tets.
+fn block() -> Result<TissueMesh, palpate_fem::FemError> {
+    let n = 13;
+    let at = |c: [usize; 3]| ((c[2] * (n + 1) + c[1]) * (n + 1) + c[0]) as u32;
+    let (mut points, mut tets) = (Vec::new(), Vec::new());
+    for k in 0..=n {
+        for j in 0..=n {
+            for i in 0..=n {
+                points.push([i, j, k].map(|x| 4.0 * x as f64));
+            }
+        }
+    }
+    for cell in 0..n * n * n {
+        for (path, even) in [
+            ([0, 1, 2], true),
+            ([1, 2, 0], true),
+            ([2, 0, 1], true),
+            ([0, 2, 1], false),
+            ([2, 1, 0], false),
+            ([1, 0, 2], false),
+        ] {
+            let mut c = [cell % n, cell / n % n, cell / n / n];
+            let mut tet = [at(c); 4];
+            for (k, axis) in path.into_iter().enumerate() {
+                c[axis] += 1;
+                tet[k + 1] = at(c);
+            }
+            if !even {
+                tet.swap(2, 3);
+            }
+            tets.push(tet);
+        }
+    }
+    TissueMesh::new(&points, &tets, &vec![0; tets.len()])
+}
