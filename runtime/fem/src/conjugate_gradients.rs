@@ -18,6 +18,14 @@ impl Filter {
         Self { nodes }
     }
 
+    /// Projection of one node; the identity where it is free.
+    pub fn of(&self, node: u32) -> DMat3 {
+        match self.nodes.binary_search_by_key(&node, |e| e.0) {
+            Ok(at) => self.nodes[at].1,
+            Err(_) => DMat3::IDENTITY,
+        }
+    }
+
     /// Projects a vector.
     pub fn apply(&self, v: &mut [DVec3]) {
         for (n, s) in &self.nodes {

@@ -41,5 +41,5 @@ pub use precondition::{PARTS, Preconditioner};
 pub use rotation::{Svd, rotation, svd};
 pub use settings::Settings;
 pub use simulation::{NodeState, Simulation, StepReport};
-pub use step::ContactForce;
+pub use step::{ContactForce, Goals, SavedState};
 pub use tissue::{Tissue, TissueTable};

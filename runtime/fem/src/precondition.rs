@@ -186,6 +186,21 @@ impl Precondition {
             .collect();
     }
 
+    /// Takes the diagonal blocks of a matrix that has changed, where the fine level is made of them.
+    pub fn refresh(&mut self, a: &BlockMatrix) {
+        if let Fine::Jacobi(blocks) = &mut self.fine {
+            blocks
+                .par_chunks_mut(ROWS_PER_TASK)
+                .zip(a.rows.par_chunks(ROWS_PER_TASK))
+                .for_each(|(blocks, rows)| {
+                    for (b, r) in blocks.iter_mut().zip(rows) {
+                        *b = inverse(r.blocks[0], r.blocks[0]);
+                    }
+                });
+        }
+        self.extend(a);
+    }
+
     /// z ≈ A⁻¹·r.
     pub fn apply(&self, r: &[DVec3], z: &mut [DVec3]) {
         let (r, late_r) = r.split_at(self.rows.min(r.len()));

@@ -4,6 +4,7 @@ use crate::mesh::fault;
 use crate::precondition::Precondition;
 use crate::{BlockMatrix, FemError, Filter, Material, Settings, SolveReport, TissueMesh};
 use glam::{DMat3, DVec3};
+use std::sync::Arc;
 
 /// State of one node.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -120,7 +121,7 @@ pub struct Simulation {
     pub(crate) dt: f64,
     /// β and γ at hand.
     pub(crate) newmark: [f64; 2],
-    pub(crate) pool: Option<rayon::ThreadPool>,
+    pub(crate) pool: Option<Arc<rayon::ThreadPool>>,
 }
 
 impl Simulation {
@@ -141,7 +142,11 @@ impl Simulation {
         let n = mesh.node_slots();
         let pool = match settings.threads {
             0 => None,
-            threads => rayon::ThreadPoolBuilder::new().num_threads(threads).build().ok(),
+            threads => rayon::ThreadPoolBuilder::new()
+                .num_threads(threads)
+                .build()
+                .ok()
+                .map(Arc::new),
         };
         Ok(Self {
             x: mesh.rest().to_vec(),

@@ -9,9 +9,11 @@ use glam::{DMat3, DVec3};
 use std::time::Instant;
 
 mod contacts;
+mod parts;
 
 pub use contacts::ContactForce;
 use contacts::Drag;
+pub use parts::{Goals, SavedState};
 
 impl Simulation {
     /// Moves the tissue on by one time step.

@@ -67,6 +67,36 @@ pub enum NeedleError {
         /// Node (block row).
         node: usize,
     },
+    /// A needle that does not start outside the tissue.
+    #[error("needle node {node} starts inside the tissue at {at} mm: start with the whole needle outside")]
+    StartsInside {
+        /// Node, 0 at the base.
+        node: usize,
+        /// Where it is, mm.
+        at: glam::DVec3,
+    },
+    /// The tip would come out of the tissue elsewhere than where it went in.
+    #[error(
+        "the tip of needle {needle} would leave the tissue through another side at {at} mm: aim inside, or stop before"
+    )]
+    LeavesTissue {
+        /// Index of the needle.
+        needle: usize,
+        /// Where, mm.
+        at: glam::DVec3,
+    },
+    /// The tip would enter something that no needle cuts.
+    #[error(
+        "the tip of needle {needle} would enter region {region}, which is rigid (bone), at {at} mm: aim beside it, or stop before"
+    )]
+    HitsRigid {
+        /// Index of the needle.
+        needle: usize,
+        /// Region of the tissue.
+        region: u16,
+        /// Where, mm.
+        at: glam::DVec3,
+    },
     /// An iteration that did not settle.
     #[error(
         "{what} did not settle within {iterations} iterations (residual {residual:.3e}, wanted {tolerance:.3e})"

@@ -17,6 +17,7 @@ mod banded;
 mod bicycle;
 mod error;
 mod frame;
+mod insertion;
 mod params;
 mod rod;
 mod stick_slip;
@@ -27,6 +28,10 @@ pub use banded::{BandFactor, BlockBand};
 pub use bicycle::{Bicycle, BicycleParams};
 pub use error::NeedleError;
 pub use frame::{MaterialFrame, transport};
+pub use insertion::{
+    Event, Insertion, InsertionParams, InsertionReport, Linear, Membrane, Needle, NeedleFriction,
+    NeedleReport, RegionCutting,
+};
 pub use params::{NeedleParams, PreBend, Stiffness, gauge_outer_diameter_mm};
 pub use rod::{
     BaseMotion, EdgeLimits, Energy, Equilibrium, EquilibriumParams, Evaluation, Held, Loads, NewmarkParams,

@@ -55,10 +55,10 @@ impl NewmarkParams {
             "a positive time",
         )?;
         check(
-            self.beta > 0.0 && self.beta <= 0.5,
+            self.beta > 0.0 && self.beta <= 1.0,
             "beta",
             self.beta,
-            "above 0 and at most 0.5 (implicit)",
+            "above 0 and at most 1 (implicit)",
         )?;
         check(
             self.gamma >= 0.5 && self.gamma <= 1.0,

@@ -1,0 +1,358 @@
+//! One time step in as many parts as it needs.
+
+use super::chain::Goal;
+use super::system::Coupled;
+use super::unknowns::Strand;
+use super::{Insertion, InsertionReport, Needle, NeedleReport};
+use crate::stick_slip::{StickSlipSystem, solve_stick_slip};
+use crate::{BaseMotion, FrictionLimit, FrictionState, Loads, NeedleError, NewmarkParams, Rod, StepSystem};
+use glam::DVec3;
+use std::time::Instant;
+
+/// Differences of accelerations that the first trial's start is searched among: four took the iterations of a needle at constant speed from 43 to 15, more of them gain no more.
+const HISTORY: usize = 4;
+
+/// What one part found, before the mesh follows.
+pub(super) struct Solved {
+    /// Accelerations of the tissue.
+    a: Vec<DVec3>,
+    /// Accelerations of the needles.
+    needle: Vec<Vec<DVec3>>,
+    /// States of all shared nodes.
+    pub states: Vec<FrictionState>,
+    /// Slip of each needle's tip, mm.
+    pub slip: Vec<f64>,
+    /// Force of the tissue on each needle, µN.
+    force: Vec<DVec3>,
+    /// Cutting force at each tip, µN.
+    cutting: Vec<f64>,
+}
+
+impl Insertion {
+    pub(super) fn whole_step(&mut self, motion: &[BaseMotion]) -> Result<InsertionReport, NeedleError> {
+        let start = Instant::now();
+        let mut report = InsertionReport {
+            needles: vec![NeedleReport::default(); self.needles.len()],
+            consistent: true,
+            settled: true,
+            ..InsertionReport::default()
+        };
+        let dt = self.tissue.settings().dt_s;
+        let goals = self.tissue.goals();
+        let result = self.advance(dt, 0, true, motion, &mut report);
+        self.tissue.aim(&goals);
+        result?;
+        for (k, needle) in self.needles.iter().enumerate() {
+            let r = &mut report.needles[k];
+            r.tip = needle.tip();
+            r.tip_material = needle
+                .chain
+                .last()
+                .map(|&n| self.tissue.mesh().rest()[n as usize]);
+            r.contact_mm = needle.lengths().iter().sum();
+            for s in &needle.states {
+                r.states[match s {
+                    FrictionState::Static => 0,
+                    FrictionState::Forward => 1,
+                    FrictionState::Backward => 2,
+                }] += 1;
+            }
+            r.last_membrane.clone_from(&needle.last_membrane);
+        }
+        report.total_time_s = start.elapsed().as_secs_f64();
+        Ok(report)
+    }
+
+    /// A part of `dt`, or two halves of it.
+    fn advance(
+        &mut self,
+        dt: f64,
+        halvings: u32,
+        last: bool,
+        motion: &[BaseMotion],
+        report: &mut InsertionReport,
+    ) -> Result<(), NeedleError> {
+        let may_halve = halvings < self.params.most_halvings;
+        if !(may_halve && self.too_fast(dt, motion)) {
+            let rods: Vec<Rod> = self.needles.iter().map(|n| n.rod.clone()).collect();
+            let saved = self.tissue.save();
+            let tried = self.attempt(dt, false, motion, report);
+            let violent = match &tried {
+                Ok(solved) => self.is_violent(&rods, solved),
+                Err(NeedleError::Folded { .. } | NeedleError::ShortEdge { .. }) => true,
+                Err(_) => false,
+            };
+            let mut result = tried;
+            if violent {
+                self.return_to(&rods, &saved);
+                if may_halve {
+                    return self.halves(dt, halvings, last, motion, report);
+                }
+                report.braked += 1;
+                result = self.attempt(dt, true, motion, report);
+            }
+            let done = result.and_then(|solved| {
+                self.tissue.end_part(&solved.a, last)?;
+                self.remember(&solved.a);
+                let goals = self.goals(&rods, &solved)?;
+                Ok((solved, goals))
+            });
+            return match done {
+                Ok((solved, goals)) => {
+                    report.substeps += 1;
+                    self.settle(solved, goals, report)
+                }
+                Err(e) => {
+                    self.return_to(&rods, &saved);
+                    Err(e)
+                }
+            };
+        }
+        self.halves(dt, halvings, last, motion, report)
+    }
+
+    fn remember(&mut self, a: &[DVec3]) {
+        let mut latest = match self.history.len() > HISTORY {
+            true => self.history.pop().unwrap_or_default(),
+            false => Vec::new(),
+        };
+        latest.clear();
+        latest.extend_from_slice(a);
+        self.history.insert(0, latest);
+    }
+
+    fn halves(
+        &mut self,
+        dt: f64,
+        halvings: u32,
+        last: bool,
+        motion: &[BaseMotion],
+        report: &mut InsertionReport,
+    ) -> Result<(), NeedleError> {
+        let goals = self.tissue.goals();
+        let first = self.tissue.halfway(&goals);
+        self.tissue.aim(&first);
+        self.advance(0.5 * dt, halvings + 1, false, motion, report)?;
+        self.tissue.aim(&goals);
+        self.advance(0.5 * dt, halvings + 1, last, motion, report)
+    }
+
+    fn return_to(&mut self, rods: &[Rod], saved: &palpate_fem::SavedState) {
+        for (n, r) in self.needles.iter_mut().zip(rods) {
+            n.rod = r.clone();
+        }
+        self.tissue.restore(saved);
+    }
+
+    /// Whether the bases alone move a needle on by more than a tip may pass at once.
+    fn too_fast(&self, dt: f64, motion: &[BaseMotion]) -> bool {
+        self.needles.iter().zip(motion).any(|(n, m)| {
+            let along = m.insertion_mm_per_s.abs() + DVec3::from_array(m.velocity_mm_per_s).length();
+            along * dt > self.most_slip_mm(n)
+        })
+    }
+
+    fn most_slip_mm(&self, needle: &Needle) -> f64 {
+        let near = needle.chain.last().map(|&n| self.size_at(n));
+        let size = near.unwrap_or(needle.limits.min_mm * 2.0);
+        (self.params.most_slip * size).min(needle.limits.min_mm * 0.8)
+    }
+
+    /// Edge of a regular tet with the mean rest volume of the tets around a node, mm.
+    pub(super) fn size_at(&self, node: u32) -> f64 {
+        let mesh = self.tissue.mesh();
+        let around = mesh.around(node);
+        let volume: f64 = around
+            .iter()
+            .filter_map(|e| mesh.tet(e.tet))
+            .map(|t| {
+                let x = t.corners.map(|n| mesh.rest()[n as usize]);
+                (x[1] - x[0]).dot((x[2] - x[0]).cross(x[3] - x[0])) / 6.0
+            })
+            .sum();
+        (volume / around.len().max(1) as f64 * 6.0 * std::f64::consts::SQRT_2).cbrt()
+    }
+
+    fn is_violent(&self, before: &[Rod], solved: &Solved) -> bool {
+        let turns = self
+            .needles
+            .iter()
+            .zip(before)
+            .any(|(n, b)| n.rod.largest_turn(b) > self.params.most_turn_rad);
+        let slips = self
+            .needles
+            .iter()
+            .zip(&solved.slip)
+            .any(|(n, s)| s.abs() > self.most_slip_mm(n));
+        turns || slips || self.tissue.strain_change(&solved.a) > self.tissue.settings().halving_strain
+    }
+
+    /// What each shared node can hold, by needle.
+    fn friction_limits(&self, needle: &Needle) -> Vec<FrictionLimit> {
+        let mut limits: Vec<FrictionLimit> = needle
+            .lengths()
+            .iter()
+            .map(|l| FrictionLimit {
+                friction_un: l * needle.friction.friction_un_per_mm,
+                cutting_un: 0.0,
+            })
+            .collect();
+        if let (Some(tip), Some(&node)) = (limits.last_mut(), needle.chain.last()) {
+            tip.cutting_un = self.cutting_at(needle, node);
+        }
+        limits
+    }
+
+    /// Solves a part of `dt` and moves the rods; the tissue's state stays until the part is ended.
+    fn attempt(
+        &mut self,
+        dt: f64,
+        braked: bool,
+        motion: &[BaseMotion],
+        report: &mut InsertionReport,
+    ) -> Result<Solved, NeedleError> {
+        report.attempts += 1;
+        let start = Instant::now();
+        let begun = self.tissue.begin_part(dt, braked);
+        report.renewed_share = begun.renewed_share;
+        report.tissue_time_s += start.elapsed().as_secs_f64();
+
+        let start = Instant::now();
+        let [beta, gamma] = self.tissue.part_newmark();
+        let newmark = NewmarkParams {
+            dt_s: dt,
+            beta,
+            gamma,
+            ..NewmarkParams::default()
+        };
+        let loads = Loads {
+            gravity_mm_per_s2: DVec3::from_array(self.tissue.settings().gravity_mm_s2),
+            ..Loads::default()
+        };
+        let mut systems: Vec<StepSystem> = Vec::with_capacity(self.needles.len());
+        for (n, m) in self.needles.iter_mut().zip(motion) {
+            systems.push(n.rod.begin_step(&newmark, m, &loads)?);
+        }
+        let limits: Vec<FrictionLimit> = self
+            .needles
+            .iter()
+            .flat_map(|n| self.friction_limits(n))
+            .collect();
+        let mut states: Vec<FrictionState> = self.needles.iter().flat_map(|n| n.states.clone()).collect();
+        report.needle_time_s += start.elapsed().as_secs_f64();
+
+        let start = Instant::now();
+        self.tissue.prepare_preconditioner();
+        let mut a = self.tissue.accelerations().to_vec();
+        let passes = self.tissue.settings().contact_passes.max(1);
+        let mut pass = 0;
+        let solved = loop {
+            pass += 1;
+            let filter = self.tissue.constrain_step(&mut a);
+            let strands: Vec<Strand> = self
+                .needles
+                .iter()
+                .zip(&systems)
+                .map(|(n, system)| Strand {
+                    rod: &n.rod,
+                    system,
+                    chain: &n.chain,
+                    viscous: n.friction.viscous_un_s_per_mm2,
+                    lengths: n.lengths(),
+                })
+                .collect();
+            let mut coupled = Coupled::new(
+                &self.tissue,
+                &filter,
+                &strands,
+                &limits,
+                std::mem::take(&mut a),
+                dt,
+                self.params.linear,
+                self.params.solver_iterations,
+            );
+            coupled.history = &self.history;
+            let outcome = solve_stick_slip(&mut coupled, &limits, &states, &self.params.stick_slip)?;
+            report.trials = report.trials.max(outcome.trials);
+            report.trials_total += outcome.trials;
+            report.iterations += outcome.iterations;
+            report.settled &= coupled.settled;
+            let forces = coupled.coupling_forces();
+            let nodes: Vec<u32> = coupled.nodes.iter().map(|n| n.tissue).collect();
+            let mut solved = Solved {
+                slip: vec![0.0; strands.len()],
+                force: vec![DVec3::ZERO; strands.len()],
+                cutting: vec![0.0; strands.len()],
+                a: Vec::new(),
+                needle: Vec::new(),
+                states: outcome.states,
+            };
+            for (k, n) in coupled.nodes.iter().enumerate() {
+                // The last node of a strand is its tip.
+                solved.slip[n.strand] = coupled.slip_mm(k);
+                solved.force[n.strand] += forces[k];
+                solved.cutting[n.strand] = limits[k].cutting_un;
+            }
+            solved.needle = std::mem::take(&mut coupled.needle);
+            solved.a = std::mem::take(&mut coupled.a);
+            drop(coupled);
+            drop(strands);
+            for (n, f) in nodes.iter().zip(&forces) {
+                self.tissue.push_step(*n, -*f);
+            }
+            let open = self.tissue.correct_step(&solved.a);
+            if open && pass < passes {
+                for (n, f) in nodes.iter().zip(&forces) {
+                    self.tissue.push_step(*n, *f);
+                }
+                a = solved.a;
+                states = solved.states;
+                continue;
+            }
+            report.consistent &= outcome.consistent;
+            report.contacts_open = open;
+            break solved;
+        };
+        report.lcp_time_s += start.elapsed().as_secs_f64();
+
+        let start = Instant::now();
+        for ((n, system), w) in self.needles.iter_mut().zip(&systems).zip(&solved.needle) {
+            n.rod.finish_step(system, w)?;
+        }
+        for (k, n) in self.needles.iter().enumerate() {
+            let r = &mut report.needles[k];
+            let mut base = -solved.force[k];
+            for i in 0..n.rod.position().len() {
+                if !n.rod.is_prescribed(i) {
+                    let weight = loads.gravity_mm_per_s2;
+                    base += n.rod.node_mass(i) * (solved.needle[k][i] - weight);
+                }
+            }
+            let x = n.rod.position();
+            r.base_force_un = base;
+            r.base_axial_un = base.dot((x[1] - x[0]).normalize_or_zero());
+            r.tissue_force_un = solved.force[k];
+            r.cutting_un = solved.cutting[k];
+        }
+        report.needle_time_s += start.elapsed().as_secs_f64();
+        Ok(solved)
+    }
+
+    /// After a part: friction states are kept, meshes follow, shared nodes agree again.
+    fn settle(
+        &mut self,
+        solved: Solved,
+        goals: Vec<Goal>,
+        report: &mut InsertionReport,
+    ) -> Result<(), NeedleError> {
+        let mut from = 0;
+        for (k, goal) in goals.into_iter().enumerate() {
+            let count = self.needles[k].chain.len();
+            self.needles[k].states = solved.states[from..from + count].to_vec();
+            from += count;
+            report.needles[k].tip_slip_mm += solved.slip[k];
+            self.follow(k, goal, report)?;
+        }
+        Ok(())
+    }
+}

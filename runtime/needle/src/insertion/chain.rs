@@ -1,0 +1,351 @@
+//! After the solve: tissue nodes follow the needle, needle nodes follow the tissue (Chentanez et al. 2009, §3.4).
+
+use super::advance::Solved;
+use super::surface::entry_point;
+use super::{Event, Insertion, InsertionReport, Needle};
+use crate::{FrictionState, NeedleError, Rod, Track, carry_states, locate};
+use glam::{DMat3, DVec3};
+use palpate_fem::{NodeState, Tet};
+use std::time::Instant;
+
+/// Slip below which the tip's node stays, mm.
+const LEAST_SLIP_MM: f64 = 1e-9;
+/// A needle less deep than this share of a tet is out.
+const LEAST_DEPTH: f64 = 0.05;
+
+/// What a tip does in the mesh after a part.
+pub(super) enum Goal {
+    /// Nothing.
+    Stay,
+    /// Meets the surface, on its way from a place outside.
+    Touch {
+        /// Where the tip was, mm.
+        from: DVec3,
+    },
+    /// Cuts on to a place in the material.
+    Advance(NodeState),
+    /// Goes back to a place in the material.
+    Retract(NodeState),
+    /// Comes out where it went in.
+    Leave,
+}
+
+impl Insertion {
+    /// Cutting force at a tip, µN: of the tissue around its node, or of the toughest membrane that holds it.
+    pub(super) fn cutting_at(&self, needle: &Needle, node: u32) -> f64 {
+        let regions = self.regions_at(node);
+        let own = regions.iter().map(|&r| needle.friction.cutting_in(r));
+        let mut most = own.fold(0.0, f64::max);
+        for k in self.membranes_at(needle, node, &regions) {
+            most = most.max(needle.friction.membranes[k].cutting_un);
+        }
+        most
+    }
+
+    fn regions_at(&self, node: u32) -> Vec<u16> {
+        let mesh = self.tissue.mesh();
+        let tets = mesh.around(node).iter().filter_map(|e| mesh.tet(e.tet));
+        let mut regions: Vec<u16> = tets.map(|t| t.region).collect();
+        regions.sort_unstable();
+        regions.dedup();
+        regions
+    }
+
+    fn membranes_at(&self, needle: &Needle, node: u32, regions: &[u16]) -> Vec<usize> {
+        let u = self.tissue.mesh().rest()[node as usize];
+        needle
+            .friction
+            .membranes
+            .iter()
+            .zip(&needle.layers)
+            .enumerate()
+            .filter(|(_, (m, layer))| {
+                m.region.is_none_or(|r| regions.contains(&r))
+                    && layer.holds(u, m.from_mm, m.from_mm + m.thickness_mm)
+            })
+            .map(|(k, _)| k)
+            .collect()
+    }
+
+    /// What each tip is about to do in the mesh, with the tissue at the end of the part; nothing is changed.
+    ///
+    /// Errors
+    /// - [`NeedleError::LeavesTissue`], [`NeedleError::HitsRigid`]
+    pub(super) fn goals(&self, before: &[Rod], solved: &Solved) -> Result<Vec<Goal>, NeedleError> {
+        let mut end = 0;
+        let mut goals = Vec::with_capacity(self.needles.len());
+        for (k, n) in self.needles.iter().enumerate() {
+            end += n.chain.len();
+            let state = match n.chain.is_empty() {
+                true => None,
+                false => Some(solved.states[end - 1]),
+            };
+            goals.push(self.goal(k, &before[k], state, solved.slip[k])?);
+        }
+        Ok(goals)
+    }
+
+    fn goal(
+        &self,
+        k: usize,
+        before: &Rod,
+        state: Option<FrictionState>,
+        slip: f64,
+    ) -> Result<Goal, NeedleError> {
+        let n = &self.needles[k];
+        let tip = n.tip();
+        let Some(state) = state else {
+            let x = before.position();
+            let from = x[x.len() - 1];
+            let inwards = (tip - from).dot(n.rod.tip_frame().tangent) > 0.0;
+            if !inwards || locate(&self.tissue, tip, 0).is_none() {
+                return Ok(Goal::Stay);
+            }
+            return Ok(Goal::Touch { from });
+        };
+        if n.track.is_none() {
+            return Ok(Goal::Stay);
+        }
+        let last = n.chain[n.chain.len() - 1];
+        let hint = self.tissue.mesh().around(last).first().map_or(0, |e| e.tet);
+        let place = locate(&self.tissue, tip, hint);
+        match state {
+            FrictionState::Forward if slip > LEAST_SLIP_MM => {
+                let Some((slot, weights)) = place else {
+                    // A needle that only touches may slide off.
+                    return match n.chain.len() {
+                        1 => Ok(Goal::Leave),
+                        _ => Err(NeedleError::LeavesTissue { needle: k, at: tip }),
+                    };
+                };
+                let Some(tet) = self.tissue.mesh().tet(slot) else {
+                    return Ok(Goal::Stay);
+                };
+                if n.friction.rigid_regions.contains(&tet.region) {
+                    return Err(NeedleError::HitsRigid {
+                        needle: k,
+                        region: tet.region,
+                        at: tip,
+                    });
+                }
+                let mut state = self.state_in(tet, weights);
+                let bevel = slip * n.friction.bevel_degrees.to_radians().tan();
+                if bevel != 0.0 {
+                    state.rest += self.material_direction(tet, n.rod.tip_frame().m2) * bevel;
+                }
+                state.position = tip;
+                Ok(Goal::Advance(state))
+            }
+            FrictionState::Backward if slip < -LEAST_SLIP_MM => {
+                let inside: f64 = n.lengths().iter().sum();
+                let least = LEAST_DEPTH * self.size_at(n.chain[0]);
+                let tet = place.and_then(|(slot, w)| Some((self.tissue.mesh().tet(slot)?, w)));
+                match tet {
+                    Some((tet, weights)) if n.chain.len() > 1 && inside + slip > least => {
+                        let mut state = self.state_in(tet, weights);
+                        state.position = tip;
+                        Ok(Goal::Retract(state))
+                    }
+                    _ => Ok(Goal::Leave),
+                }
+            }
+            _ => Ok(Goal::Stay),
+        }
+    }
+
+    fn state_in(&self, tet: Tet, weights: [f64; 4]) -> NodeState {
+        let t = &self.tissue;
+        let mut state = NodeState::default();
+        for (n, w) in tet.corners.into_iter().zip(weights) {
+            let n = n as usize;
+            state.rest += t.mesh().rest()[n] * w;
+            state.position += t.positions()[n] * w;
+            state.velocity += t.velocities()[n] * w;
+            state.acceleration += t.accelerations()[n] * w;
+        }
+        state
+    }
+
+    /// Unit vector of the material that a tet's deformation makes parallel to `world`.
+    fn material_direction(&self, tet: Tet, world: DVec3) -> DVec3 {
+        let edges = |x: &[DVec3]| {
+            let c = tet.corners.map(|n| x[n as usize]);
+            DMat3::from_cols(c[1] - c[0], c[2] - c[0], c[3] - c[0])
+        };
+        let (rest, now) = (edges(self.tissue.mesh().rest()), edges(self.tissue.positions()));
+        let found = (rest * (now.inverse() * world)).normalize_or_zero();
+        if found.is_finite() { found } else { DVec3::ZERO }
+    }
+
+    /// Nodes that belong to the other needles.
+    fn others(&self, k: usize) -> Vec<u32> {
+        let others = self.needles.iter().enumerate().filter(|(j, _)| *j != k);
+        others
+            .flat_map(|(_, n)| n.track.as_ref().map_or_else(|| n.chain.clone(), Track::owned))
+            .collect()
+    }
+
+    /// Makes needle `k` and the tissue agree again after a part.
+    pub(super) fn follow(
+        &mut self,
+        k: usize,
+        goal: Goal,
+        report: &mut InsertionReport,
+    ) -> Result<(), NeedleError> {
+        let start = Instant::now();
+        let arcs = self.needles[k].arcs();
+        // Nodes near the surface give way to it while the chain still is that of the rod.
+        let n = &mut self.needles[k];
+        let coupled = (!n.chain.is_empty()).then(|| n.first());
+        n.rod.refine(&n.limits, coupled)?;
+        let outside = n.first();
+        report.needle_time_s += start.elapsed().as_secs_f64();
+
+        let start = Instant::now();
+        let others = if self.needles.len() > 1 {
+            self.others(k)
+        } else {
+            Vec::new()
+        };
+        let r = &mut report.needles[k];
+        let (n, tissue) = (&mut self.needles[k], &mut self.tissue);
+        let was = n.chain.len();
+        let mut done = None;
+        match goal {
+            Goal::Stay => {}
+            Goal::Touch { from } => {
+                let tip = n.tip();
+                let boundary = tissue.mesh().boundary();
+                if let Some(point) = entry_point(tissue, &boundary, from, tip) {
+                    let track = Track::puncture_apart(tissue, point, self.params.track.clone(), others)?;
+                    for &node in track.nodes() {
+                        let (v, a) = (tissue.velocities(), tissue.accelerations());
+                        let (v, a) = (v[node as usize], a[node as usize]);
+                        tissue.set_state(node, tip, v, a)?;
+                    }
+                    n.chain = track.nodes().to_vec();
+                    n.track = Some(track);
+                    n.states = vec![FrictionState::Static; n.chain.len()];
+                    r.events.push(Event::Contact);
+                }
+            }
+            Goal::Advance(state) => {
+                if let Some(track) = &mut n.track {
+                    track.keep_off(others);
+                    done = Some(track.advance(tissue, state)?);
+                    if was == 1 && track.nodes().len() > 1 {
+                        r.events.push(Event::Puncture);
+                    }
+                }
+            }
+            Goal::Retract(state) => {
+                if let Some(track) = &mut n.track {
+                    track.keep_off(others);
+                    done = Some(track.retract(tissue, state)?);
+                }
+            }
+            Goal::Leave => {
+                if let Some(mut track) = n.track.take() {
+                    track.leave(tissue)?;
+                }
+                n.chain.clear();
+                n.states.clear();
+                n.last_membrane = None;
+                n.within.fill(false);
+                r.events.push(Event::Left);
+            }
+        }
+        if let Some(done) = done {
+            r.fallbacks += done.fallbacks;
+            if done.worst_quality.is_finite() {
+                let worst = r.worst_quality.unwrap_or(f64::INFINITY);
+                r.worst_quality = Some(worst.min(done.worst_quality));
+            }
+            if let Some(track) = &n.track {
+                n.chain = track.nodes().to_vec();
+            }
+            self.note_membranes(k, report);
+        }
+        report.remesh_time_s += start.elapsed().as_secs_f64();
+
+        let start = Instant::now();
+        self.reparametrize(k, outside)?;
+        if self.needles[k].chain.len() != self.needles[k].states.len() || was > 0 {
+            self.carry(k, &arcs);
+        }
+        self.agree(k)?;
+        report.needle_time_s += start.elapsed().as_secs_f64();
+        Ok(())
+    }
+
+    /// Membranes that the tip has come through.
+    fn note_membranes(&mut self, k: usize, report: &mut InsertionReport) {
+        let n = &self.needles[k];
+        let Some(&tip) = n.chain.last() else { return };
+        let held = self.membranes_at(n, tip, &self.regions_at(tip));
+        let n = &mut self.needles[k];
+        for m in 0..n.within.len() {
+            let now = held.contains(&m);
+            if n.within[m] && !now {
+                let name = n.friction.membranes[m].name.clone();
+                n.last_membrane = Some(name.clone());
+                report.needles[k].events.push(Event::Membrane { name });
+            }
+            n.within[m] = now;
+        }
+    }
+
+    /// Gives the needle the tissue's nodes; the first `outside` ones keep their own positions (§3.4.2).
+    pub(super) fn reparametrize(&mut self, k: usize, outside: usize) -> Result<(), NeedleError> {
+        let x = self.tissue.positions();
+        let n = &mut self.needles[k];
+        if n.chain.is_empty() {
+            return Ok(());
+        }
+        // A needle that has just touched brings its own last node.
+        let outside = outside.min(n.rod.position().len() - 1);
+        let mut position = n.rod.position()[..outside].to_vec();
+        position.extend(n.chain.iter().map(|&t| x[t as usize]));
+        n.rod.reparametrize(position)
+    }
+
+    /// Shared nodes get the same velocity and acceleration in the directions in which they move together: the trapezoid rule would
+    /// swing on with the difference for ever. Momentum is kept.
+    fn agree(&mut self, k: usize) -> Result<(), NeedleError> {
+        let n = &self.needles[k];
+        if n.chain.is_empty() {
+            return Ok(());
+        }
+        let first = n.first();
+        let (mut v, mut a) = (n.rod.velocity().to_vec(), n.rod.acceleration().to_vec());
+        let mut tissue = Vec::with_capacity(n.chain.len());
+        for (j, (&node, state)) in n.chain.iter().zip(&n.states).enumerate() {
+            let (i, t) = (first + j, node as usize);
+            let (mine, theirs) = (n.rod.node_mass(i), self.tissue.masses()[t]);
+            let share = mine / (mine + theirs);
+            let tangent = n.rod.node_tangent(i);
+            let tied = |d: DVec3| match state {
+                FrictionState::Static => d,
+                _ => d - tangent * tangent.dot(d),
+            };
+            let (vt, at) = (self.tissue.velocities()[t], self.tissue.accelerations()[t]);
+            let (dv, da) = (tied(v[i] - vt), tied(a[i] - at));
+            v[i] -= dv * (1.0 - share);
+            a[i] -= da * (1.0 - share);
+            tissue.push((node, vt + dv * share, at + da * share));
+        }
+        self.needles[k].rod.set_motion(v, a)?;
+        for (node, v, a) in tissue {
+            let x = self.tissue.positions()[node as usize];
+            self.tissue.set_state(node, x, v, a)?;
+        }
+        Ok(())
+    }
+
+    /// States of the nodes of a chain that has changed: those of the nearest nodes before, by arc length.
+    pub(super) fn carry(&mut self, k: usize, arcs: &[f64]) {
+        let n = &mut self.needles[k];
+        let before: Vec<(f64, FrictionState)> = arcs.iter().copied().zip(n.states.iter().copied()).collect();
+        n.states = carry_states(&before, &n.arcs());
+    }
+}
