@@ -1,9 +1,11 @@
-//! Times of images of a package under a smooth press, and the pictures:
+//! Times of images of a package under a smooth press, and the pictures, without a needle and with one:
 //! `cargo run --release -p palpate-ultrasound --example image_bench -- PACKAGE [FOLDER [SPLITS]]`; SPLITS is
 //! how often the embedding's tets are split into eight.
 
 use palpate_package::ModelPackage;
-use palpate_ultrasound::{Level, Organ, Probe, ProbePose, Scanner, Settings, TissueTable, split_tets};
+use palpate_ultrasound::{
+    Level, Needle, Organ, Probe, ProbePose, Scanner, Settings, TissueTable, split_tets,
+};
 use std::time::Instant;
 
 type Failure = Box<dyn std::error::Error>;
@@ -85,6 +87,15 @@ fn main() -> Result<(), Failure> {
                 std::fs::write(format!("{stem}.png"), image.png()?)?;
                 std::fs::write(format!("{stem}.nii"), image.nifti())?;
                 std::fs::write(format!("{stem}.json"), image.metadata().json()?)?;
+                let needle = Needle {
+                    points_mm: vec![pose.point(-40.0, 0.0, 0.5), pose.point(4.0, 30.0, 0.0)],
+                    radius_mm: 0.6,
+                };
+                scanner.set_needles(&[needle])?;
+                let image = scanner.image(&[&deformed], &pose)?;
+                std::fs::write(format!("{stem}-needle.png"), image.png()?)?;
+                let time = median(|| scanner.image(&[&deformed], &pose).map(|_| ()))?;
+                println!("  {level:?} with a needle: median {time:.2} ms");
             }
         }
     }

@@ -4,6 +4,7 @@
 use crate::coverage::{self, NONE, Reach};
 use crate::cut::{Cut, Polygon, Ray};
 use crate::lateral::Lateral;
+use crate::needle::{Medium, NeedleEchoes};
 use crate::organ::{Organ, Volume};
 use crate::properties::{Classes, Properties, of_tissue};
 use crate::rays::{Neighbours, RayModel};
@@ -43,6 +44,7 @@ pub(crate) struct Beams {
     contact: Vec<bool>,
     amplitude: Vec<f32>,
     interface: Vec<f32>,
+    needles: NeedleEchoes,
     /// Per fine line: polygons of the plane at work; the scatterers' in phase and quadrature samples, drawn at every other
     /// sample (with room for the pulse on either side) and filtered.
     fine_polygon: Vec<u32>,
@@ -132,6 +134,7 @@ impl Beams {
             contact: vec![false; lines],
             amplitude: vec![0.0; n],
             interface: vec![0.0; n],
+            needles: NeedleEchoes::default(),
             fine_polygon: vec![NONE; fine * samples],
             drawn: vec![0.0; fine * 2 * drawn],
             filtered: vec![0.0; fine * 2 * samples],
@@ -176,6 +179,20 @@ impl Beams {
             });
         self.sample(scene, probe, pose);
         self.propagate(probe);
+        if !scene.needles.is_empty() {
+            let medium = Medium {
+                probe,
+                acoustic: &self.model.settings,
+                needle: scene.needle,
+                samples: self.samples,
+                step_mm: self.step_mm,
+                blurred: level >= Level::BMode,
+                properties: &self.properties,
+            };
+            let (amplitude, interface) = (&mut self.amplitude, &mut self.interface);
+            self.needles
+                .apply(scene.needles, pose, &medium, amplitude, interface);
+        }
         let scatter = 10f64.powf(self.model.settings.scatter_db / 20.0) as f32;
         if level >= Level::BMode {
             self.scatter(scene, probe, pose);

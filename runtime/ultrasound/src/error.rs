@@ -25,6 +25,16 @@ pub enum UltrasoundError {
         /// What is accepted.
         expected: &'static str,
     },
+    /// A needle that cannot be drawn.
+    #[error("needle: {what} is {found}, expected {expected}")]
+    Needle {
+        /// The value.
+        what: &'static str,
+        /// What was found.
+        found: String,
+        /// What is accepted.
+        expected: &'static str,
+    },
     /// A region was given a tissue that the tissue table lacks.
     #[error("region {region:?} is to be tissue {tissue:?}, which the tissue table lacks; it has: {known}")]
     Tissue {

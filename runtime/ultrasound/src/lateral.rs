@@ -94,12 +94,7 @@ impl Lateral {
         step_mm: f64,
         cell_mm: f64,
     ) -> Self {
-        let last = (samples.max(2) - 1) as f64;
-        let sigma_mm = |j: usize| {
-            let near = s.lateral_sigma_near_wavelengths;
-            let share = j as f64 / last;
-            (near + share * (s.lateral_sigma_far_wavelengths - near)) * probe.wavelength_mm()
-        };
+        let sigma_mm = |j: usize| s.lateral_sigma_mm(probe, j as f64 * step_mm);
         let pitch_mm = |j: usize| probe.pitch_mm(j as f64 * step_mm).max(1e-6);
         let widest = (0..samples).map(pitch_mm).fold(0.0, f64::max);
         let sub = ((widest / cell_mm).ceil() as usize).clamp(1, MOST_SUB);

@@ -1,9 +1,12 @@
 use crate::beams::Beams;
 use crate::cut::{Cut, check_deformed};
+use crate::needle::overlay;
 use crate::organ::Organ;
 use crate::slice::{self, Pixels, Scene};
 use crate::vector::{norm, sub, wide};
-use crate::{Image, Level, PixelGrid, Probe, ProbePose, Settings, SliceImage, TissueTable, UltrasoundError};
+use crate::{
+    Image, Level, Needle, PixelGrid, Probe, ProbePose, Settings, SliceImage, TissueTable, UltrasoundError,
+};
 use rayon::prelude::*;
 
 /// Makes images of deformed organs. Owns all buffers: after the first image none is allocated.
@@ -20,6 +23,7 @@ pub struct Scanner {
     pub(crate) slice: Pixels,
     pub(crate) beams: Option<Beams>,
     pub(crate) grey: Vec<u8>,
+    needles: Vec<Needle>,
     /// Pose of the image whose grey values these are.
     held: Option<ProbePose>,
 }
@@ -73,6 +77,7 @@ impl Scanner {
             slice,
             beams,
             grey: vec![0; grid.len()],
+            needles: Vec::new(),
             held: None,
         })
     }
@@ -102,6 +107,31 @@ impl Scanner {
         &self.label_names
     }
 
+    /// Needles that the images from now on show; none: as if there never were any.
+    ///
+    /// At the levels with sound a needle echoes by the angle between beam and shaft, its tip at any angle; it rings on, casts
+    /// a shadow, and fades out of the plane as the beam's profile across it does. At the other levels a line one pixel wide
+    /// is drawn over the grey values where it lies within the beam's thickness; [`Scanner::slice`] keeps the bare scan.
+    ///
+    /// # Errors
+    /// Fewer than two points, positions that are not finite, a radius that is not positive. The needles then stay as they were.
+    pub fn set_needles(&mut self, needles: &[Needle]) -> Result<(), UltrasoundError> {
+        needles.iter().try_for_each(Needle::check)?;
+        self.needles.truncate(needles.len());
+        let kept = self.needles.len();
+        for (own, new) in self.needles.iter_mut().zip(needles) {
+            own.points_mm.clone_from(&new.points_mm);
+            own.radius_mm = new.radius_mm;
+        }
+        self.needles.extend_from_slice(&needles[kept..]);
+        Ok(())
+    }
+
+    /// The needles that images show.
+    pub fn needles(&self) -> &[Needle] {
+        &self.needles
+    }
+
     /// The level 0 image: CT values, labels and rest points on the plane of `pose`.
     ///
     /// `deformed`: per organ its embedding vertices, local mm (patient minus the package's origin).
@@ -124,6 +154,8 @@ impl Scanner {
             edge_mm: &self.edge_mm,
             background: self.settings.background,
             fill_hu: f32::from(self.settings.fill_hu),
+            needles: &self.needles,
+            needle: &self.settings.needle,
         };
         slice::resample(&scene, &self.cut, pose, &self.grid, &mut self.slice);
         Ok(SliceImage {
@@ -150,6 +182,8 @@ impl Scanner {
                 edge_mm: &self.edge_mm,
                 background: self.settings.background,
                 fill_hu: f32::from(self.settings.fill_hu),
+                needles: &self.needles,
+                needle: &self.settings.needle,
             };
             let level = self.settings.level;
             beams.image(&scene, &self.probe, level, deformed, pose, &mut self.grey);
@@ -171,6 +205,9 @@ impl Scanner {
     /// The grey values are those of an image at `pose`.
     pub(crate) fn hold(&mut self, pose: &ProbePose) -> Image<'_> {
         self.held = Some(*pose);
+        if self.beams.is_none() {
+            overlay(&self.needles, pose, &self.probe, &self.grid, &mut self.grey);
+        }
         Image {
             scanner: self,
             pose: *pose,

@@ -1,4 +1,4 @@
-use crate::{AcousticSource, Background, UltrasoundError};
+use crate::{AcousticSource, Background, NeedleSettings, Probe, UltrasoundError};
 use serde::{Deserialize, Serialize};
 
 /// What is computed of the image.
@@ -38,6 +38,8 @@ pub struct Settings {
     pub grey_gain_db_cm: f64,
     /// What [`Level::Rays`] and [`Level::BMode`] take from the tissue and show of it.
     pub acoustic: AcousticSettings,
+    /// How needles echo.
+    pub needle: NeedleSettings,
 }
 
 impl Default for Settings {
@@ -52,6 +54,7 @@ impl Default for Settings {
             white_hu: 240.0,
             grey_gain_db_cm: -1.0,
             acoustic: AcousticSettings::default(),
+            needle: NeedleSettings::default(),
         }
     }
 }
@@ -86,7 +89,8 @@ impl Settings {
                 "-100 to 100 dB/cm",
             );
         }
-        self.acoustic.check()
+        self.acoustic.check()?;
+        self.needle.check()
     }
 }
 
@@ -158,6 +162,13 @@ impl Default for AcousticSettings {
 }
 
 impl AcousticSettings {
+    /// Standard deviation of the beam across at a distance from the face, mm.
+    pub(crate) fn lateral_sigma_mm(&self, probe: &Probe, along_mm: f64) -> f64 {
+        let near = self.lateral_sigma_near_wavelengths;
+        let share = along_mm / probe.depth_mm;
+        (near + share * (self.lateral_sigma_far_wavelengths - near)) * probe.wavelength_mm()
+    }
+
     /// # Errors
     /// A value that is out of range.
     pub fn check(&self) -> Result<(), UltrasoundError> {

@@ -4,7 +4,7 @@ use crate::coverage::{self, NONE};
 use crate::cut::{Cut, Polygon, Ray};
 use crate::organ::{Corners, Organ, Volume};
 use crate::vector::{Vec3, add, apply, apply_linear, scale};
-use crate::{Background, PixelGrid, ProbePose, Source};
+use crate::{Background, Needle, NeedleSettings, PixelGrid, ProbePose, Source};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -18,6 +18,8 @@ pub(crate) struct Scene<'a> {
     pub(crate) edge_mm: &'a [f64],
     pub(crate) background: Background,
     pub(crate) fill_hu: f32,
+    pub(crate) needles: &'a [Needle],
+    pub(crate) needle: &'a NeedleSettings,
 }
 
 /// Flat pixel arrays, row by row.
