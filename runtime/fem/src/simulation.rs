@@ -465,6 +465,14 @@ impl Simulation {
         Ok(())
     }
 
+    /// Makes changes of nodes and tets that leave the set of boundary nodes as it is, so that it need not be found anew for contacts.
+    pub fn edit_inside<R>(&mut self, changes: impl FnOnce(&mut Self) -> R) -> R {
+        let surface = self.surface.take();
+        let result = changes(self);
+        self.surface = surface;
+        result
+    }
+
     fn edited(&mut self) {
         self.surface = None;
         self.edits += 1;

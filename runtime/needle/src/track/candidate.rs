@@ -11,6 +11,10 @@ use palpate_fem::{Simulation, Tet, TissueMesh};
 const EDGES: [[usize; 2]; 6] = [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]];
 const FACES: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
 
+/// Tissue nodes moved at most after an operation, and how far from their first places, as a share of the longest edge there.
+const MOST_RELAXED: usize = 4;
+const RELAXED_SHARE: f64 = 0.25;
+
 /// Which way the tip goes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Motion {
@@ -312,6 +316,62 @@ impl<'a> Search<'a> {
         if let Some(best) = star.best_near(&starts, 0.2 * reach, 3 * self.track.params.evaluations) {
             overlay.move_to(node, best);
         }
+    }
+
+    /// Moves tissue nodes around the worst tets of a candidate to where those are better.
+    pub fn relax(&mut self, mut candidate: Candidate<'a>) -> Candidate<'a> {
+        let params = &self.track.params;
+        let mut done: Vec<u32> = Vec::new();
+        for _ in 0..MOST_RELAXED {
+            if candidate.weighed.worst() >= params.relax_below {
+                break;
+            }
+            let overlay = &candidate.overlay;
+            let mut tets = overlay.changed_tets();
+            tets.sort_by(|a, b| quality(overlay.shape(*a)).total_cmp(&quality(overlay.shape(*b))));
+            let next = tets
+                .iter()
+                .filter(|t| quality(overlay.shape(**t)) < params.relax_below)
+                .flat_map(|t| t.corners)
+                .find(|&n| {
+                    n != NEW
+                        && n != candidate.tip
+                        && !done.contains(&n)
+                        && !self.track.chain[..candidate.kept].contains(&n)
+                        && self.is_free(n)
+                });
+            let Some(node) = next else { break };
+            done.push(node);
+            let mut overlay = candidate.overlay.clone();
+            let star = overlay.star(node);
+            let now = overlay.rest(node);
+            let home = self.track.originals.get(&node).copied().unwrap_or(now);
+            self.free(&mut overlay, node);
+            // Near its first place, or needles going in and out would drag the tissue's nodes along.
+            let away = overlay.rest(node) - home;
+            let place = home + away.clamp_length_max(RELAXED_SHARE * star.reach());
+            if star.worst(place) <= star.worst(now) {
+                continue;
+            }
+            overlay.move_to(node, place);
+            if let Some(weighed) = overlay.weigh(params.least_quality)
+                && !self.is_foreign(&overlay, &weighed)
+            {
+                (candidate.overlay, candidate.weighed) = (overlay, weighed);
+            }
+        }
+        candidate
+    }
+
+    /// Whether a change touches another track's tets.
+    fn is_foreign(&self, overlay: &Overlay, weighed: &Weighed) -> bool {
+        !self.track.foreign.is_empty()
+            && weighed
+                .changed
+                .iter()
+                .filter_map(|&t| overlay.mesh.tet(t))
+                .flat_map(|t| t.corners)
+                .any(|n| self.track.foreign.contains(&n))
     }
 
     fn offer(

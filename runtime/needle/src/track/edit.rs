@@ -124,7 +124,13 @@ impl Track {
         };
         let positions = change.parents.is_some().then(|| self.positions(sim));
         self.remember(sim, &moves);
-        let slot = edit(sim, &change.removed, &change.added, &moves, gone, new)?;
+        let apply = |sim: &mut Simulation| edit(sim, &change.removed, &change.added, &moves, gone, new);
+        // Only the puncture changes the boundary.
+        let slot = if self.chain.is_empty() {
+            apply(sim)?
+        } else {
+            sim.edit_inside(apply)?
+        };
         let tip = slot.unwrap_or(change.tip);
         if let (Some(parents), Some(positions)) = (change.parents, positions) {
             self.stack.push(Split {
@@ -233,7 +239,12 @@ impl Track {
         for (node, rest) in moved {
             moves.push((node, state_of(sim, node, rest)?));
         }
-        edit(sim, &removed, &added, &moves, Some(top.node), None)?;
+        let apply = |sim: &mut Simulation| edit(sim, &removed, &added, &moves, Some(top.node), None);
+        if self.chain.first() == Some(&top.node) {
+            apply(sim)?;
+        } else {
+            sim.edit_inside(apply)?;
+        }
         report.undone += 1;
         Ok(())
     }

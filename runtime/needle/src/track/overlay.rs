@@ -129,6 +129,15 @@ impl<'a> Overlay<'a> {
         slots
     }
 
+    /// Tets put in or reshaped.
+    pub fn changed_tets(&self) -> Vec<Tet> {
+        let stay = self.reshaped();
+        stay.into_iter()
+            .filter_map(|t| self.mesh.tet(t))
+            .chain(self.added.iter().copied())
+            .collect()
+    }
+
     /// Tets changed and the qualities they change to; `None` where one is not above `least`.
     pub fn weigh(&self, least: f64) -> Option<Weighed> {
         let mut changed = self.reshaped();

@@ -37,6 +37,13 @@ impl Star {
         least
     }
 
+    /// Length of the longest edge at the node, mm, to within what is left out: one edge of each tet.
+    pub fn reach(&self) -> f64 {
+        self.tets.iter().fold(0.0f64, |most, (x, corner)| {
+            most.max(x[*corner].distance(x[(corner + 1) % 4]))
+        })
+    }
+
     /// Place within the middle nine tenths of the segment where the worst tet is best, by golden section: least quality along a
     /// segment rises to one maximum wherever the star is valid.
     pub fn best_on(&self, from: DVec3, to: DVec3, evaluations: u32) -> DVec3 {
