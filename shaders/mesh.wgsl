@@ -10,6 +10,8 @@ const EDGE: u32 = 1u;
 const CORNER: u32 = 4u;
 
 const MOST: u32 = 6u;
+// Sine of the bend from which an edge counts as a valley.
+const CREASE: f32 = 0.25;
 const STACK: u32 = 64u;
 const NO_NEIGHBOUR: u32 = 0xffffffffu;
 
@@ -110,6 +112,22 @@ fn owns(data: u32, t: u32, q: Nearest, p: vec3<f32>) -> bool {
     return true;
 }
 
+// Whether a feature of triangle t is an edge at the floor of a valley.
+fn creased(places: vec4<u32>, t: u32, feature: u32) -> bool {
+    if feature < EDGE || feature >= CORNER {
+        return false;
+    }
+    let at = places.y + 5u * t;
+    let k = feature - EDGE;
+    let other = shapes[at + k].w;
+    if other == NO_NEIGHBOUR {
+        return false;
+    }
+    let edge = floats(at + (k + 1u) % 3u).xyz - floats(at + k).xyz;
+    let into = cross(edge, floats(places.y + 5u * other + 3u).xyz);
+    return dot(floats(at + 3u).xyz, into) > CREASE * length(edge);
+}
+
 var<private> kept: array<vec4<f32>, 6>;
 var<private> kept_points: array<vec3<f32>, 6>;
 var<private> kept_count: u32;
@@ -166,10 +184,15 @@ fn triangle_contact(data: u32, t: u32, m: Motion) -> bool {
     let q = nearest_on(places.y, t, m.b);
     let away = m.b - q.point;
     let d2 = dot(away, away);
-    if !(d2 < m.reach * m.reach) || !owns(data, t, q, m.b) {
+    if !(d2 < m.reach * m.reach) {
         return false;
     }
-    if q.feature == FACE {
+    // Across a valley the other side counts as well.
+    let across = !owns(data, t, q, m.b);
+    if across && !creased(places, t, q.feature) {
+        return false;
+    }
+    if across || q.feature == FACE {
         keep(n, q.point, m.b);
         return true;
     }

@@ -7,7 +7,7 @@
 
 mod common;
 
-use common::{block, log_log_slope};
+use common::{SETTLE, log_log_slope, slab};
 use glam::Vec3;
 use palpate_package::ModelPackage;
 use palpate_pbd::{
@@ -167,24 +167,25 @@ fn table(name: &str, ms: &[f64]) {
 
 fn grow(settings: &Settings, threads: usize) -> Result<(), Box<dyn Error>> {
     println!(
-        "\ngrowth, blocks on a plane, {threads} threads (0: all); shares of neighbours, collision, contacts, matching"
+        "\ngrowth, settled slabs on a plane below a probe, {threads} threads (0: all)\n  \
+         lists: made anew per step; contacts: of particles with each other, per particle; then shares of neighbours, \
+         collision, contacts, matching"
     );
     let mut points = Vec::new();
     for count in [2_000, 5_000, 10_000, 20_000, 50_000, 100_000, 200_000] {
-        let body = SoftBody::from_raw(&block(count))?;
+        let scene = slab(count)?;
+        let body = &scene.bodies[0];
         let (n, c, m) = (
             body.particle_count(),
             body.cluster_count(),
             body.membership_count(),
         );
-        let floor = Collider::plane("floor", Vec3::Y * -0.8, Vec3::Y);
-        let mut solver =
-            Solver::with_threads(Scene::new(vec![body], vec![floor]), settings.clone(), threads)?;
-        let steps = (400_000 / count).clamp(6, 60);
-        for _ in 0..4 {
+        let mut solver = Solver::with_threads(scene, settings.clone(), threads)?;
+        for _ in 0..SETTLE {
             solver.step();
         }
-        let mut parts = [0.0; 4];
+        let steps = (400_000 / count).clamp(6, 60);
+        let (mut parts, before) = ([0.0; 4], solver.neighbour_lists_made());
         let mut ms: Vec<f64> = (0..steps)
             .map(|_| {
                 solver.step();
@@ -199,7 +200,9 @@ fn grow(settings: &Settings, threads: usize) -> Result<(), Box<dyn Error>> {
         ms.sort_by(f64::total_cmp);
         let median = ms[ms.len() / 2];
         println!(
-            "  {n:7} particles {c:6} clusters {m:8} memberships  {median:8.2} ms  {}",
+            "  {n:7} particles {c:6} clusters {m:8} memberships  {median:8.2} ms  lists {:4.2}  contacts {:4.2}  {}",
+            (solver.neighbour_lists_made() - before) as f64 / steps as f64,
+            solver.particle_contacts() as f64 / n as f64,
             parts.map(|p| format!("{:4.1} %", 100.0 * p)).join(" ")
         );
         points.push((n as f64, median));

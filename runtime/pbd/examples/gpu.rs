@@ -9,7 +9,7 @@
 
 mod common;
 
-use common::{block, log_log_slope};
+use common::{SETTLE, log_log_slope, slab};
 use glam::Vec3;
 use palpate_gpu::{AdapterKind, Choice, Gpu};
 use palpate_package::ModelPackage;
@@ -259,25 +259,24 @@ impl Case {
 }
 
 fn grow(gpu: &Gpu, lanes_per_cluster: u32) -> Result<(), Box<dyn Error>> {
-    println!("\ngrowth, blocks on a plane, {lanes_per_cluster} lanes a cluster");
+    println!("\ngrowth, slabs on a plane below a probe, {lanes_per_cluster} lanes a cluster");
     let mut points = Vec::new();
     for count in [2_000, 5_000, 10_000, 20_000, 50_000, 100_000, 200_000] {
-        let body = SoftBody::from_raw(&block(count))?;
+        let scene = slab(count)?;
+        let body = &scene.bodies[0];
         let (n, c, m) = (
             body.particle_count(),
             body.cluster_count(),
             body.membership_count(),
         );
-        let floor = Collider::plane("floor", Vec3::Y * -0.8, Vec3::Y);
-        let scene = Scene::new(vec![body], vec![floor]);
         let options = GpuOptions { lanes_per_cluster };
         let mut solver = GpuSolver::with_options(gpu, &scene, &Settings::default(), &options)?;
         let mut ms = Vec::new();
-        for step in 0..(400_000 / count).clamp(6, 60) + 4 {
+        for step in 0..(400_000 / count).clamp(6, 60) + SETTLE {
             let begin = Instant::now();
             solver.step()?;
             solver.wait()?;
-            if step >= 4 {
+            if step >= SETTLE {
                 ms.push(begin.elapsed().as_secs_f64() * 1e3);
             }
         }

@@ -127,6 +127,16 @@ impl Solver {
         &self.core.clamps
     }
 
+    /// How often the lists of near particles were made since the start; they live for many substeps.
+    pub fn neighbour_lists_made(&self) -> u64 {
+        self.core.neighbours.rebuilds
+    }
+
+    /// Pairs of particles within reach of each other in the last substep, each counted from both sides.
+    pub fn particle_contacts(&self) -> u64 {
+        self.core.neighbours.pairs()
+    }
+
     /// Where collider `k` is.
     ///
     /// # Errors

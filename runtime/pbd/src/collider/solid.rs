@@ -10,6 +10,9 @@ use glam::Vec3;
 const GRID_NODES: f32 = 150_000.0;
 /// Contacts that one mesh may give a particle; the deepest are kept.
 const MOST: usize = 6;
+/// Sine of the bend from which an edge counts as a valley, 15°: in flatter ones a particle that is pushed from one side
+/// hardly leaves it.
+const CREASE: f32 = 0.25;
 
 /// Triangles with everything that contact asks of them.
 #[derive(Clone, Debug)]
@@ -26,6 +29,8 @@ pub(crate) struct MeshSolid {
     pub(crate) vertex_normals: Vec<Vec3>,
     /// Triangles whose altitudes are not much shorter than their edges.
     sound: Vec<bool>,
+    /// Edges along which the mesh is a valley: a bit each.
+    creased: Vec<u8>,
     pub(crate) closed: bool,
     pub(crate) bounds: (Vec3, Vec3),
 }
@@ -91,7 +96,20 @@ impl MeshSolid {
                 .max((a - c).length_squared());
             (b - a).cross(c - a).length() > 0.1 * longest2
         };
+        let creased = (0..triangles.len())
+            .map(|t| {
+                let bit = |k: usize| {
+                    let a = corners[t][k];
+                    let edge = corners[t][(k + 1) % 3] - a;
+                    // As in `owns`: into the neighbour.
+                    let n = normals.get(neighbours[t][k] as usize)?;
+                    (normals[t].dot(edge.cross(*n)) > CREASE * edge.length()).then_some(1 << k)
+                };
+                (0..3).filter_map(bit).sum()
+            })
+            .collect();
         Self {
+            creased,
             sound: corners.iter().map(sound).collect(),
             bvh: Bvh::build(&corners),
             closed: mesh.is_closed(),
@@ -143,6 +161,11 @@ impl MeshSolid {
     /// Distance from `p`, negative behind the nearest face.
     pub(crate) fn distance(&self, p: Vec3) -> f32 {
         self.nearest_triangle(p).map_or(f32::MAX, |(_, d)| d)
+    }
+
+    /// Whether edge `k` of triangle `t` is the floor of a valley.
+    fn is_creased(&self, t: usize, k: usize) -> bool {
+        self.creased[t] & (1 << k) != 0
     }
 
     /// Whether `p` lies in the Voronoi region of the edge or vertex of triangle `t` that is nearest to it on `t`: no
@@ -255,7 +278,7 @@ impl MeshSolid {
             let edge = |k: usize| {
                 let u = self.neighbours[t][k];
                 to_segment(p, corners[k], corners[(k + 1) % 3]) <= d + margin
-                    && (u == u32::MAX || !hidden(u as usize, d))
+                    && (u == u32::MAX || self.is_creased(t, k) || !hidden(u as usize, d))
             };
             d <= cross || d - plane.abs() <= margin || (0..3).any(|k| edge(k) || vertex(k))
         };
@@ -389,11 +412,17 @@ impl<'a> Touches<'a> {
         }
         let q = closest_on_triangle(b, corners);
         let d2 = q.point.distance_squared(b);
-        if d2 >= reach * reach || !mesh.owns(t, &q, b) {
+        if d2 >= reach * reach {
+            return;
+        }
+        // Across a valley the other side counts as well: else each substep would push the particle from one side to the
+        // other.
+        let across = !mesh.owns(t, &q, b);
+        if across && !matches!(q.feature, Feature::Edge(k) if mesh.is_creased(t, k.into())) {
             return;
         }
         self.ahead = true;
-        if q.feature == Feature::Face {
+        if across || q.feature == Feature::Face {
             self.keep(LocalContact {
                 normal: n,
                 point: q.point,

@@ -101,6 +101,45 @@ fn flat_meshes_have_no_ghost_edges() {
     }
 }
 
+/// A valley along z with slopes of `slope`, or a ridge where it is negative.
+fn valley(slope: f32) -> TriangleMesh {
+    let at = |x: f32, z: f32| [x, slope * x.abs(), z];
+    TriangleMesh {
+        vertices: [-6.0, 0.0, 6.0]
+            .iter()
+            .flat_map(|&x| [at(x, -5.0), at(x, 5.0)])
+            .collect(),
+        triangles: vec![[0, 1, 3], [0, 3, 2], [2, 3, 5], [2, 5, 4]],
+    }
+}
+
+#[test]
+fn both_sides_of_a_valley_count_beyond_its_floor() {
+    // Above the right side, past the line from which the nearest point of the left is on the floor itself.
+    for (slope, point, sides) in [
+        (0.5, Vec3::new(0.8, 1.2, 0.3), 2),
+        (0.5, Vec3::new(0.0, 1.2, 0.3), 2),
+        // Too far from the left side.
+        (0.5, Vec3::new(2.0, 1.7, 0.3), 1),
+        // Hardly a valley.
+        (0.05, Vec3::new(0.4, 1.0, 0.3), 1),
+        (-0.5, Vec3::new(0.8, 0.6, 0.3), 1),
+    ] {
+        let mesh = MeshSolid::new(&valley(slope));
+        let grid = mesh.grid().unwrap();
+        let mut found = LocalContacts::default();
+        mesh.contacts(&grid, &motion(point, point), &mut found);
+        assert_eq!(found.as_slice().len(), sides, "slope {slope}, {point}");
+        for c in found.as_slice() {
+            assert!((c.normal.y - (1.0 + slope * slope).sqrt().recip()).abs() < 1e-5);
+            assert!(
+                (c.normal.dot(c.point)).abs() < 1e-5,
+                "planes lead through the floor"
+            );
+        }
+    }
+}
+
 #[test]
 fn one_sided_swept_and_recovering() {
     let half = Vec3::splat(5.0);

@@ -135,6 +135,15 @@ impl Neighbours {
         self.stale = true;
     }
 
+    /// Candidates of all particles.
+    pub(crate) fn pairs(&self) -> u64 {
+        if self.any {
+            self.pairs.iter().map(|n| u64::from(*n)).sum()
+        } else {
+            0
+        }
+    }
+
     pub(crate) fn row(&self, i: usize) -> &[u32] {
         let from = i / CHUNK * region(self.width) + self.first[i] as usize;
         &self.candidates[from..from + self.candidate_count[i] as usize]
