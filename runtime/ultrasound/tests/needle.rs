@@ -264,7 +264,7 @@ fn no_needle_no_difference() {
 fn faults_are_named_and_leave_the_needles() {
     let (mut s, _) = scanner(0.5, linear(), Level::Rays, NeedleSettings::default());
     let good = needle([0.0; 3], [0.0, 10.0, 0.0]);
-    s.set_needles(&[good.clone()]).unwrap();
+    s.set_needles(std::slice::from_ref(&good)).unwrap();
     let mut short = good.clone();
     short.points_mm.truncate(1);
     let mut lost = good.clone();

@@ -1,7 +1,8 @@
-//! Where an image across a structure's border is made from.
+//! Where an instrument is set on the organ: on tissue, and across a structure's border where there is one.
 
 use super::tool::{Form, Target};
 use glam::{DVec3, Vec3};
+use std::collections::BTreeMap;
 
 /// Directions across the axis that are tried.
 const DIRECTIONS: u32 = 16;
@@ -61,6 +62,104 @@ pub(super) fn rim(structure: &[[f32; 3]], form: &Form, target: &Target, up: DVec
         }
     }
     at(found.1, found.2)
+}
+
+/// Share of a front that must have tissue near below it at a peak.
+const OVER: f64 = 0.9;
+/// Width of the cells in which a peak's surroundings are looked at, mm.
+const CELL_MM: f64 = 2.5;
+
+/// The organ's farthest place along `up` with tissue below the whole front, across the image (`lateral`) as well as along it:
+/// beside the flat end where the scan's border cuts an organ, not on its edge. The farthest point itself, unless a part of
+/// the front would hang in the air there; the best of bad places where it does so everywhere.
+pub(super) fn peak(form: &Form, target: &Target, up: DVec3, lateral: DVec3) -> Option<DVec3> {
+    let points = target.vertices.iter().map(|&p| Vec3::from(p).as_dvec3());
+    let farthest = points.max_by(|a, b| a.dot(up).total_cmp(&b.dot(up)))?;
+    let front = Front::new(form, target, farthest, up, lateral);
+    let mut best = (front.over(farthest), farthest);
+    if best.0 >= OVER {
+        return Some(farthest);
+    }
+    let mut tops: Vec<DVec3> = front.tops.values().copied().collect();
+    tops.sort_by(|a, b| b.dot(up).total_cmp(&a.dot(up)));
+    for top in tops {
+        let share = front.over(top);
+        if share >= OVER {
+            return Some(top);
+        }
+        if share > best.0 {
+            best = (share, top);
+        }
+    }
+    Some(best.1)
+}
+
+/// A front and the height of the tissue that faces it.
+struct Front {
+    up: DVec3,
+    axes: [DVec3; 2],
+    origin: DVec3,
+    half: [f64; 2],
+    /// The farthest point of each cell across `up`.
+    tops: BTreeMap<[i64; 2], DVec3>,
+}
+
+impl Front {
+    fn new(form: &Form, target: &Target, origin: DVec3, up: DVec3, lateral: DVec3) -> Self {
+        let mut out = Self {
+            up,
+            axes: [lateral, up.cross(lateral)],
+            origin,
+            half: [form.half_width(), form.half_thickness()],
+            tops: BTreeMap::new(),
+        };
+        for t in target.triangles {
+            let [Some(&a), Some(&b), Some(&c)] = t.map(|v| target.vertices.get(v as usize)) else {
+                continue;
+            };
+            let [a, b, c] = [a, b, c].map(|p| Vec3::from(p).as_dvec3());
+            let normal = (b - a).cross(c - a);
+            // A flat end along `up` faces nothing.
+            if normal.dot(up) <= 0.1 * normal.length() {
+                continue;
+            }
+            let longest = (b - a).length().max((c - b).length()).max((a - c).length());
+            let n = (2.0 * longest / CELL_MM).ceil().clamp(1.0, 200.0) as u32;
+            // Inside the triangle, so that its edges do not fall to the cells beyond.
+            let share = |k: u32| (f64::from(k) + 1.0 / 3.0) / f64::from(n);
+            for i in 0..n {
+                for j in 0..n - i {
+                    let p = a + (b - a) * share(i) + (c - a) * share(j);
+                    let top = out.tops.entry(out.cell(p)).or_insert(p);
+                    if p.dot(up) > top.dot(up) {
+                        *top = p;
+                    }
+                }
+            }
+        }
+        out
+    }
+
+    fn cell(&self, p: DVec3) -> [i64; 2] {
+        self.axes
+            .map(|d| ((p - self.origin).dot(d) / CELL_MM).floor() as i64)
+    }
+
+    /// Share of the front with its middle over `p` that has tissue no further than [`GAP_MM`] below where it touches.
+    fn over(&self, p: DVec3) -> f64 {
+        let n = self.half.map(|h| (2.0 * h / CELL_MM).round().max(1.0) as i64);
+        let mut heights = Vec::new();
+        for i in 0..n[0] {
+            for j in 0..n[1] {
+                let off = |k: i64, n: i64| CELL_MM * (k as f64 + 0.5 - 0.5 * n as f64);
+                let at = p + self.axes[0] * off(i, n[0]) + self.axes[1] * off(j, n[1]);
+                heights.extend(self.tops.get(&self.cell(at)).map(|top| top.dot(self.up)));
+            }
+        }
+        let contact = heights.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let near = heights.iter().filter(|&&h| contact - h <= GAP_MM).count();
+        near as f64 / (n[0] * n[1]) as f64
+    }
 }
 
 /// Points all over the organ's surface, half a column apart.
@@ -209,5 +308,44 @@ mod tests {
         let plain = View::new(&structures[0].1, &surface, centre, DVec3::Y, DVec3::Z);
         let plain = plain.at(30.0, 20.0);
         assert!(plain.score() < seen.score(), "{} {}", plain.score(), seen.score());
+    }
+
+    #[test]
+    fn the_peak_lies_on_tissue_and_not_on_the_edge_of_a_cut() {
+        // A body of 40 by 30 by 50 mm, cut flat by a scan's border below z = −10 or not at all.
+        let body = |cut: f32| {
+            let mut organ = ball(Vec3::ZERO, 1.0, 120);
+            for p in &mut organ.vertices {
+                // It rises towards −z.
+                let z = (50.0 * p[2]).max(cut);
+                *p = [40.0 * p[0], 30.0 * p[1] - 0.25 * 50.0 * p[2], z];
+            }
+            organ
+        };
+        let form = Form::Cuboid(DVec3::new(40.0, 10.0, 20.0));
+        for lateral in [DVec3::X, DVec3::Z] {
+            let place = |organ: &crate::render::Mesh| {
+                let target = Target {
+                    vertices: &organ.vertices,
+                    triangles: &organ.triangles,
+                    structures: &[],
+                };
+                let p = peak(&form, &target, DVec3::Y, lateral).unwrap();
+                (p, Front::new(&form, &target, p, DVec3::Y, lateral).over(p))
+            };
+            let whole = body(-100.0);
+            let highest = whole.vertices.iter().map(|p| p[1]).fold(f32::MIN, f32::max);
+            let (p, _) = place(&whole);
+            assert!((p.y - f64::from(highest)).abs() < 1e-6, "{p}");
+            // The whole body is highest at z = −19; cut at −10 the edge is.
+            let cut = body(-10.0);
+            let edge = cut.vertices.iter().map(|&p| Vec3::from(p).as_dvec3());
+            let edge = edge.max_by(|a, b| a.y.total_cmp(&b.y)).unwrap();
+            assert!((edge.z + 10.0).abs() < 1e-6, "{edge}");
+            let (p, over) = place(&cut);
+            assert!(over >= 0.85, "{over} at {p} along {lateral}");
+            let half = if lateral == DVec3::Z { 20.0 } else { 5.0 };
+            assert!(p.z > half - 10.0 - 5.0, "{p}");
+        }
     }
 }

@@ -1,4 +1,4 @@
-use super::aim::rim;
+use super::aim::{peak, rim};
 use crate::RehearseError;
 use crate::motion::{RigidPose, rotation};
 use crate::render::{Mesh, capsule, polytope};
@@ -88,6 +88,15 @@ impl Form {
             .unwrap_or(10.0)
     }
 
+    /// How far the body reaches from its axis along y, mm: from 5 to 60.
+    pub(super) fn half_thickness(&self) -> f64 {
+        (5..=60)
+            .rev()
+            .map(f64::from)
+            .find(|&y| self.front(0.0, y).is_some())
+            .unwrap_or(5.0)
+    }
+
     /// How far the body reaches along z over (x, y); none beside it.
     fn front(&self, x: f64, y: f64) -> Option<f64> {
         match self {
@@ -130,12 +139,7 @@ pub(super) struct Target<'a> {
 pub(super) fn start_pose(pose: &StartPose, form: &Form, target: &Target, origin: DVec3) -> RigidPose {
     let axis = -pose.above.unit();
     let (aimed, along) = aim_point(pose, form, target);
-    let lateral = pose
-        .lateral
-        .map(|d| d.unit())
-        .or(along)
-        .and_then(|v| (v - axis * v.dot(axis)).try_normalize())
-        .unwrap_or_else(|| longest_across(target.vertices, axis));
+    let lateral = lateral(pose, along, target);
     let upright = DQuat::from_mat3(&DMat3::from_cols(lateral, axis.cross(lateral), axis));
     let turned = (upright * rotation(pose.rotation_deg)).normalize();
     if let Some(p) = pose.position_mm {
@@ -157,6 +161,16 @@ pub(super) fn start_pose(pose: &StartPose, form: &Form, target: &Target, origin:
         position: aim.apply(DVec3::Z * (way - pose.gap_mm)),
         ..aim
     }
+}
+
+/// The image's x axis: as the pose says, else `along`, else the organ's longest extent across the axis.
+fn lateral(pose: &StartPose, along: Option<DVec3>, target: &Target) -> DVec3 {
+    let axis = -pose.above.unit();
+    pose.lateral
+        .map(|d| d.unit())
+        .or(along)
+        .and_then(|v| (v - axis * v.dot(axis)).try_normalize())
+        .unwrap_or_else(|| longest_across(target.vertices, axis))
 }
 
 /// How far the instrument can go along its axis from `pose` (negative: must go back) until it touches the surface. None where
@@ -192,12 +206,10 @@ fn aim_point(pose: &StartPose, form: &Form, target: &Target) -> (DVec3, Option<D
     let up = pose.above.unit();
     for name in &pose.over {
         let found = match name.as_str() {
-            "peak" => target
-                .vertices
-                .iter()
-                .map(|&p| Vec3::from(p).as_dvec3())
-                .max_by(|a, b| a.dot(up).total_cmp(&b.dot(up)))
-                .map(|p| (p, None)),
+            "peak" => {
+                let lateral = lateral(pose, None, target);
+                peak(form, target, up, lateral).map(|p| (p, None))
+            }
             "centre" => Some((middle(target.vertices), None)),
             "rim" => target.structures.first().map(|s| {
                 let (p, d) = rim(&s.1, form, target, up);
