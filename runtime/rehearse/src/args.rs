@@ -82,6 +82,9 @@ pub enum Command {
         /// The same on finite elements.
         #[arg(long, conflicts_with_all = ["example", "protocol"])]
         fem: bool,
+        /// A needle into a kidney's tumour and out again.
+        #[arg(long, conflicts_with_all = ["example", "protocol", "fem"])]
+        biopsy: bool,
     },
     /// List the GPUs that the drivers of this machine offer, and why one is not taken.
     Devices,

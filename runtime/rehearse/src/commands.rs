@@ -1,5 +1,5 @@
 use crate::scene::SceneSource;
-use crate::session::load;
+use crate::session::{Session, load};
 use crate::{RehearseError, motion::Timeline};
 use std::fmt::Write;
 use std::path::Path;
@@ -12,10 +12,9 @@ pub fn check(scene: &Path, package: Option<&Path>) -> Result<String, RehearseErr
     let source = SceneSource::read(scene)?;
     let mut out = format!("{}: {}\n", source.scene.name, scene.display());
     let any = package.is_some() || !source.scene.packages.is_empty();
-    let loaded = if any {
-        load(&source, package)?.1
-    } else {
-        Vec::new()
+    let (scene, loaded) = match any {
+        true => load(&source, package)?,
+        false => (source.scene.clone(), Vec::new()),
     };
     for p in &loaded {
         let _ = writeln!(
@@ -30,6 +29,7 @@ pub fn check(scene: &Path, package: Option<&Path>) -> Result<String, RehearseErr
     if !any {
         out.push_str("  no package in the scene: give one with --package\n");
     }
+    let mut timeline = Timeline::new(&source.scene, source.scene.dt_s());
     if let (true, Some(first)) = (source.scene.is_fem(), loaded.first()) {
         let fem = &first.model.fem;
         let _ = writeln!(
@@ -38,21 +38,19 @@ pub fn check(scene: &Path, package: Option<&Path>) -> Result<String, RehearseErr
             fem.vertices.len(),
             fem.tets.len()
         );
-        let tissue = source.scene.tissue.clone().unwrap_or_default();
-        for w in tissue
-            .materials(&first.model.info.regions)
-            .map_or_else(|_| Vec::new(), |m| m.1)
-        {
+        // Needles find their way in the session.
+        let session = Session::new(scene, &loaded, 0)?;
+        for w in session.warnings() {
             let _ = writeln!(out, "  note: {w}");
         }
+        timeline = session.timeline().clone();
     }
-    let timeline = Timeline::new(&source.scene, source.scene.dt_s());
     for s in timeline.stages() {
-        let _ = writeln!(
-            out,
-            "  steps {}-{}: {}, {} mm",
-            s.first_step, s.last_step, s.name, s.indentation_mm
-        );
+        let _ = write!(out, "  steps {}-{}: {}", s.first_step, s.last_step, s.name);
+        let _ = match source.scene.press {
+            Some(_) => writeln!(out, ", {} mm", s.indentation_mm),
+            None => writeln!(out),
+        };
     }
     let _ = writeln!(out, "  {} steps in all", timeline.steps());
     Ok(out)

@@ -60,6 +60,22 @@ pub enum RehearseError {
     /// The tissue's mesh, material or step is refused.
     #[error("tissue: {0}")]
     Tissue(#[from] palpate_fem::FemError),
+    /// A needle that cannot do what the scene asks of it.
+    #[error("needle \"{name}\" {problem}")]
+    NeedlePlan {
+        /// Needle.
+        name: String,
+        /// What is wrong, what to do.
+        problem: String,
+    },
+    /// A needle, or tissue and needles together, cannot be stepped.
+    #[error("needle \"{name}\": {error}")]
+    Needle {
+        /// Needle.
+        name: String,
+        /// What the needle or its coupling with tissue says; places in patient mm.
+        error: palpate_needle::NeedleError,
+    },
     /// No ultrasound image can be made.
     #[error(transparent)]
     Ultrasound(#[from] palpate_ultrasound::UltrasoundError),

@@ -3,9 +3,9 @@
 use palpate_console::{Words, print, start, use_threads};
 use palpate_rehearse::args::{Cli, Command, RunArgs};
 use palpate_rehearse::recording::{Recording, Replayed, TOLERANCE_MM};
-use palpate_rehearse::scene::{EXAMPLE, FEM_PRESS, PROBE_PRESS, SceneSource};
+use palpate_rehearse::scene::{EXAMPLE, FEM_PRESS, KIDNEY_BIOPSY, PROBE_PRESS, SceneSource};
 use palpate_rehearse::session::{Device, Session, load};
-use palpate_rehearse::{Progress, UsageError, bench, bench_tables, check, devices};
+use palpate_rehearse::{Backend, Progress, UsageError, bench, bench_tables, check, devices};
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
@@ -89,11 +89,13 @@ fn run(cli: Cli) -> anyhow::Result<()> {
             example,
             protocol,
             fem,
-        } => match (example, protocol, fem) {
+            biopsy,
+        } => match (example, protocol, fem, biopsy) {
             (true, ..) => print(EXAMPLE),
-            (_, true, _) => print(PROBE_PRESS),
-            (_, _, true) => print(FEM_PRESS),
-            _ => Err(UsageError("say which scene: --example, --protocol or --fem".into()).into()),
+            (_, true, ..) => print(PROBE_PRESS),
+            (_, _, true, _) => print(FEM_PRESS),
+            (.., true) => print(KIDNEY_BIOPSY),
+            _ => Err(UsageError("say which scene: --example, --protocol, --fem or --biopsy".into()).into()),
         },
         Command::Devices => print(&devices()),
     }
@@ -104,11 +106,26 @@ fn run_scene(args: &RunArgs) -> anyhow::Result<()> {
     use_threads(args.threads)?;
     let source = SceneSource::read(&args.scene)?;
     let (scene, packages) = load(&source, args.package.as_deref())?;
-    let (device, notes) = args.device.device(args.threads)?;
+    let threads = args.threads;
+    let (device, notes) = match (scene.is_fem(), args.device.backend, &args.device.adapter) {
+        (true, Backend::Gpu, _) | (true, _, Some(_)) => {
+            anyhow::bail!(
+                "the CPU computes scenes with model = \"fem\"; take --backend gpu and --adapter out"
+            )
+        }
+        (true, ..) => (Device::Cpu { threads }, Vec::new()),
+        _ => args.device.device(threads)?,
+    };
     let progress = Progress::counting(args.quiet);
     let mut session = Session::prepare(&device, scene, &packages, &progress)?;
     session.warn(notes);
     let report = palpate_rehearse::run(session, &packages, &args.output, &progress)?;
+    if let Some(why) = &report.stopped {
+        anyhow::bail!(
+            "{why}; what was computed until then: {}",
+            args.output.join("summary.html").display()
+        );
+    }
     if args.quiet {
         return Ok(());
     }

@@ -1,8 +1,8 @@
 //! A whole session with its output folder.
 
 use crate::output::{
-    OutputFolder, PointCloud, SummaryInput, fiducials_csv, force_csv, pvd, summary_html, timings_csv,
-    trace_npz, vtu,
+    OutputFolder, PointCloud, SummaryInput, fiducials_csv, force_csv, needle_csv, pvd, summary_html,
+    timings_csv, trace_npz, vtu,
 };
 use crate::recording::Recording;
 use crate::render::{Camera, Picture, Preview, encode_png};
@@ -27,6 +27,8 @@ pub struct RunReport {
     pub inverted_tets: u32,
     /// What the user should know.
     pub warnings: Vec<String>,
+    /// Why the session ended before its time; none where it did not. What was computed until then has been written.
+    pub stopped: Option<String>,
 }
 
 /// Pictures that wait to be coded, at most.
@@ -47,14 +49,28 @@ pub fn run(
     let mut out = Writer::new(&session, folder)?;
     let steps = session.timeline().steps();
     progress.start("press", u64::from(steps));
+    let mut stopped = None;
     for step in 1..=steps {
         let poses = session.poses(step);
-        recording.push(&poses, session.advance(&poses)?);
+        match session.advance(&poses) {
+            Ok(row) => recording.push(&poses, row),
+            // A needle that cannot go on leaves what it did.
+            Err(e @ RehearseError::Needle { .. }) if step > 1 => {
+                stopped = Some(format!("step {step}: {e}"));
+                out.step(&mut session, step - 1, true)?;
+                break;
+            }
+            Err(e) => return Err(e),
+        }
         out.step(&mut session, step, step == steps)?;
         progress.step(u64::from(step));
     }
     progress.start("write", 0);
-    let report = report(&session);
+    let mut report = report(&session);
+    if let Some(why) = &stopped {
+        report.warnings.insert(0, format!("The session stopped: {why}"));
+    }
+    report.stopped = stopped;
     out.finish(&session, packages, &report, &recording)?;
     progress.finish();
     Ok(report)
@@ -96,6 +112,7 @@ fn report(session: &Session) -> RunReport {
         clamps,
         inverted_tets,
         warnings,
+        stopped: None,
     }
 }
 
@@ -138,7 +155,10 @@ impl Writer {
                 self.preview.push(picture.halved());
             }
             if let Some(s) = stage.and_then(|n| session.timeline().stages().get(n)) {
-                let caption = format!("After {}: {} mm", s.name, s.indentation_mm);
+                let caption = match session.scene().press {
+                    Some(_) => format!("After {}: {} mm", s.name, s.indentation_mm),
+                    None => format!("After {}", s.name),
+                };
                 self.stages.push((caption, picture.clone()));
             }
             if frame {
@@ -191,11 +211,12 @@ impl Writer {
         let mut clouds = session.surface_clouds(&self.rest);
         let (name, cloud) = session.body_cloud(&self.rest)?;
         clouds.push((name.into(), cloud));
-        for (name, points_mm, triangles) in session.instrument_meshes() {
+        let instruments = session.instrument_meshes();
+        for (name, points_mm, triangles) in &instruments {
             clouds.push((
                 format!("instrument-{name}"),
                 PointCloud {
-                    points_mm,
+                    points_mm: points_mm.clone(),
                     triangles,
                     ..PointCloud::default()
                 },
@@ -275,6 +296,13 @@ impl Writer {
                 self.folder.write(name, text.as_bytes())?;
                 files.push((name.into(), what.into()));
             }
+        }
+        if record.csv && !trace.needles.is_empty() {
+            self.folder.write("needle.csv", needle_csv(trace).as_bytes())?;
+            files.push((
+                "needle.csv".into(),
+                "every needle at every step: forces, tip, target, friction states; not calibrated".into(),
+            ));
         }
         if record.npz {
             self.folder.write("session.npz", &trace_npz(trace)?)?;

@@ -96,8 +96,95 @@ impl StepTimes {
     }
 }
 
+/// A needle in a session.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct NeedleInfo {
+    /// Name.
+    pub name: String,
+    /// Where the tip starts, patient RAS mm.
+    pub start_mm: [f64; 3],
+    /// Where it points, unit vector in patient axes.
+    pub direction: [f64; 3],
+    /// The target at rest, patient RAS mm; none without one.
+    pub target_rest_mm: Option<[f64; 3]>,
+    /// Last steps of the movements that should end at the target.
+    pub at_target: Vec<u32>,
+}
+
+/// A needle after a step. Vectors in patient axes, places patient RAS mm.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct NeedleStep {
+    /// Needle fed out of the sleeve since the start, mm.
+    pub fed_mm: f64,
+    /// Length of needle in the tissue, mm.
+    pub inside_mm: f64,
+    /// Force of the sleeve on the needle, N.
+    pub base_force_n: [f64; 3],
+    /// Its part along the sleeve, N: positive pushes.
+    pub base_axial_n: f64,
+    /// Force of the tissue on the needle, N.
+    pub tissue_force_n: [f64; 3],
+    /// Force that cutting takes where the tip is, N; 0 while it does not cut.
+    pub cutting_n: f64,
+    /// Tip.
+    pub tip_mm: [f64; 3],
+    /// Tip in the tissue's rest shape; none outside.
+    pub tip_rest_mm: Option<[f64; 3]>,
+    /// How far the tip went relative to the tissue in the step, mm.
+    pub slip_mm: f64,
+    /// Nodes in the tissue that stick, slide forward, slide back.
+    pub states: [u32; 3],
+    /// The target now; none without one.
+    pub target_mm: Option<[f64; 3]>,
+    /// Worst quality of the tets that remeshing made in the step; none where it made none.
+    pub worst_quality: Option<f64>,
+    /// Places where remeshing made do.
+    pub fallbacks: u32,
+    /// What happened in the step.
+    pub events: Vec<String>,
+}
+
+impl NeedleStep {
+    /// Distance from the tip to the target, mm; none without one.
+    pub fn miss_mm(&self) -> Option<f64> {
+        self.target_mm.map(|t| distance(t, self.tip_mm))
+    }
+}
+
+/// How a step of tissue with needles was solved.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Coupling {
+    /// Parts that the step was made in.
+    pub substeps: u32,
+    /// Parts tried.
+    pub attempts: u32,
+    /// Most trials of friction states in a part.
+    pub trials: u32,
+    /// Trials of all parts.
+    pub trials_total: u32,
+    /// Whether every part ended with friction states that agree with their solution.
+    pub consistent: bool,
+    /// Whether every solve reached its tolerance.
+    pub settled: bool,
+    /// Iterations of the linear solver, all trials.
+    pub iterations: u32,
+    /// Search for friction states, s.
+    pub lcp_s: f64,
+    /// Forces, Jacobians and matrix of the tissue, s.
+    pub tissue_s: f64,
+    /// Needle alone, s.
+    pub needle_s: f64,
+    /// Remeshing at the tip, s.
+    pub remesh_s: f64,
+}
+
+/// Distance of two places, mm.
+pub fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
+    (0..3).map(|k| (a[k] - b[k]) * (a[k] - b[k])).sum::<f64>().sqrt()
+}
+
 /// One step.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct StepRow {
     /// Number from 1.
     pub step: u32,
@@ -109,6 +196,10 @@ pub struct StepRow {
     pub indentation_mm: f64,
     /// By instrument.
     pub contacts: Vec<Contact>,
+    /// By needle.
+    pub needles: Vec<NeedleStep>,
+    /// How tissue and needles were solved; none without needles.
+    pub coupling: Option<Coupling>,
     /// Wall times.
     pub times: StepTimes,
     /// Fiducials in patient RAS mm.
@@ -142,6 +233,8 @@ pub struct Trace {
     pub fem: bool,
     /// Names of the instruments.
     pub instruments: Vec<String>,
+    /// The needles.
+    pub needles: Vec<NeedleInfo>,
     /// Names of the fiducials.
     pub fiducials: Vec<String>,
     /// Fiducials at rest, patient RAS mm.

@@ -169,6 +169,8 @@ fn names_and_constants_are_checked_against_the_package() {
         d.ok("check printed.toml --package k.palpate")
             .contains("finite elements:")
     );
+    let err = d.fails(1, "run printed.toml --package k.palpate --backend gpu -o out");
+    assert!(err.contains("the CPU computes scenes with model"), "{err}");
     // Nothing to hold the tissue is told as well.
     d.write("free.toml", &scene().replace("'cradle'", "'none'"));
     let told = d.ok("run free.toml --package k.palpate -o free");

@@ -59,6 +59,26 @@ impl Timeline {
         }
     }
 
+    /// Makes the session as long as needles move. Without a press their `movements` (name, first and last step) are its stages.
+    pub fn extend(&mut self, steps: u32, movements: &[(String, u32, u32)]) {
+        if steps == 0 {
+            return;
+        }
+        let scripted = !self.stages.is_empty() || self.tracks.iter().any(|t| t.end_s() > 0.0);
+        self.steps = if scripted { self.steps.max(steps) } else { steps };
+        if self.stages.is_empty() {
+            self.stages = movements
+                .iter()
+                .map(|(name, first, last)| StageSpan {
+                    name: name.clone(),
+                    indentation_mm: 0.0,
+                    first_step: *first,
+                    last_step: *last,
+                })
+                .collect();
+        }
+    }
+
     /// Number of steps.
     pub fn steps(&self) -> u32 {
         self.steps

@@ -87,7 +87,7 @@ pub fn timings_csv(trace: &Trace) -> String {
 }
 
 /// A name as one cell.
-fn cell(text: &str) -> String {
+pub(super) fn cell(text: &str) -> String {
     if text.contains([',', '"', '\n', '\r', '#']) {
         format!("\"{}\"", text.replace('"', "\"\"").replace(['\n', '\r'], " "))
     } else {

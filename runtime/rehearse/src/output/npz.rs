@@ -1,4 +1,4 @@
-use crate::trace::{Contact, StepRow, Trace, UNCALIBRATED, UNCALIBRATED_MOTION};
+use crate::trace::{Contact, Coupling, NeedleStep, StepRow, Trace, UNCALIBRATED, UNCALIBRATED_MOTION};
 use std::io::{Cursor, Write};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
@@ -7,7 +7,7 @@ use zip::{CompressionMethod, ZipWriter};
 /// `step`, `time_s`, `stage`, `indentation_mm`, `clamps` (n); `fiducials_mm` (n, f, 3), `fiducials_rest_mm` (f, 3),
 /// `fiducial_names` (f); `force_n`, `smooth_force_n`, `torque_n_mm` (n, i, 3), `normal_force_n`, `area_mm2`,
 /// `pressure_kpa` (n, i), `instrument_names` (i); `timings_s` (n, p), `timing_names` (p), `total_s`, `collision_s` (n);
-/// `stage_names`, `stage_last_step`, `stage_indentation_mm`; `device`; `note`, what must not be read into them.
+/// `stage_names`, `stage_last_step`, `stage_indentation_mm`; with needles `needle_*`; `device`; `note`, what must not be read into them.
 ///
 /// # Errors
 /// The zip writer's: only where the file would pass 4 GiB.
@@ -64,6 +64,7 @@ pub fn trace_npz(trace: &Trace) -> zip::result::ZipResult<Vec<u8>> {
     put("timing_names", texts(&trace.parts().map(String::from)))?;
     put("total_s", floats(&[n], &column(&|s| s.times.total_s())))?;
     put("collision_s", floats(&[n], &column(&|s| s.times.collision_s())))?;
+    needles(&mut put, trace)?;
     let stages = trace.stages.len();
     let names: Vec<String> = trace.stages.iter().map(|s| s.name.clone()).collect();
     put("stage_names", texts(&names))?;
@@ -77,6 +78,48 @@ pub fn trace_npz(trace: &Trace) -> zip::result::ZipResult<Vec<u8>> {
         texts(&[UNCALIBRATED, UNCALIBRATED_MOTION].map(String::from)),
     )?;
     Ok(zip.finish()?.into_inner())
+}
+
+/// With needles (k): `needle_names` (k); `needle_fed_mm`, `needle_inside_mm`, `needle_axial_n` (n, k); `needle_force_n`,
+/// `needle_tip_mm`, `needle_target_mm` (n, k, 3; NaN without a target); `needle_trials`, `needle_iterations`, `needle_substeps` (n).
+fn needles(
+    put: &mut dyn FnMut(&str, Vec<u8>) -> zip::result::ZipResult<()>,
+    trace: &Trace,
+) -> zip::result::ZipResult<()> {
+    let (n, k) = (trace.steps.len(), trace.needles.len());
+    if k == 0 {
+        return Ok(());
+    }
+    let names: Vec<String> = trace.needles.iter().map(|n| n.name.clone()).collect();
+    put("needle_names", texts(&names))?;
+    let each = |get: &dyn Fn(&NeedleStep) -> f64| -> Vec<f64> {
+        trace.steps.iter().flat_map(|s| &s.needles).map(get).collect()
+    };
+    put("needle_fed_mm", floats(&[n, k], &each(&|s| s.fed_mm)))?;
+    put("needle_inside_mm", floats(&[n, k], &each(&|s| s.inside_mm)))?;
+    put("needle_axial_n", floats(&[n, k], &each(&|s| s.base_axial_n)))?;
+    let vectors = |get: &dyn Fn(&NeedleStep) -> [f64; 3]| -> Vec<f64> {
+        trace
+            .steps
+            .iter()
+            .flat_map(|s| &s.needles)
+            .flat_map(get)
+            .collect()
+    };
+    put(
+        "needle_force_n",
+        floats(&[n, k, 3], &vectors(&|s| s.base_force_n)),
+    )?;
+    put("needle_tip_mm", floats(&[n, k, 3], &vectors(&|s| s.tip_mm)))?;
+    let target = |s: &NeedleStep| s.target_mm.unwrap_or([f64::NAN; 3]);
+    put("needle_target_mm", floats(&[n, k, 3], &vectors(&target)))?;
+    let solved = |get: &dyn Fn(&Coupling) -> u32| -> Vec<f64> {
+        let row = |s: &StepRow| f64::from(s.coupling.as_ref().map_or(0, get));
+        trace.steps.iter().map(row).collect()
+    };
+    put("needle_trials", floats(&[n], &solved(&|c| c.trials)))?;
+    put("needle_iterations", floats(&[n], &solved(&|c| c.iterations)))?;
+    put("needle_substeps", floats(&[n], &solved(&|c| c.substeps)))
 }
 
 fn header(dtype: &str, shape: &[usize]) -> Vec<u8> {

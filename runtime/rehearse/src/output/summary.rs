@@ -58,7 +58,7 @@ pub fn summary_html(s: &SummaryInput) -> String {
         escaped(s.title),
         include_str!("style.css")
     );
-    if s.trace.instruments.is_empty() {
+    if s.trace.instruments.is_empty() && s.trace.needles.is_empty() {
         out.push_str("<p>No instrument touches the organ in this scene.</p>\n");
     } else {
         let _ = writeln!(out, "<p class=\"caution\">{UNCALIBRATED}</p>");
@@ -101,6 +101,7 @@ pub fn summary_html(s: &SummaryInput) -> String {
         out.push_str("</div>\n");
     }
     displacements(&mut out, s.trace);
+    super::needle::section(&mut out, s.trace);
     contacts(&mut out, s.trace);
     timings(&mut out, s.trace);
     if !s.files.is_empty() {

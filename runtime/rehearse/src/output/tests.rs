@@ -25,12 +25,14 @@ fn trace() -> Trace {
                 clamps: 0,
                 inverted_tets: 0,
                 digest: u64::from(step),
+                ..StepRow::default()
             }
         })
         .collect();
     Trace {
         device: "CPU, 2 threads".into(),
         fem: false,
+        needles: Vec::new(),
         instruments: vec!["probe, left".into()],
         fiducials: vec!["a".into(), "b\u{e9}".into()],
         fiducials_rest_mm: vec![[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]],

@@ -9,6 +9,8 @@ const CAUTION: Rgb = rgb(0xf0b45a);
 const ORGAN: Rgb = rgb(0xb4564c);
 const SUPPORT: Rgb = rgb(0x8d9aa6);
 const INSTRUMENT: Rgb = rgb(0xd9dde1);
+const NEEDLE: Rgb = rgb(0xcfefff);
+const TARGET: Rgb = rgb(0xff5a4d);
 const FIDUCIAL: Rgb = rgb(0xf6e27a);
 const PLANE: Rgb = rgb(0x4fc3f7);
 /// Colours of structures, in the package's order.
@@ -46,6 +48,10 @@ pub struct SceneGeometry<'a> {
     pub supports: Vec<&'a Mesh>,
     /// Instruments.
     pub instruments: Vec<Mesh>,
+    /// Needles.
+    pub needles: Vec<Mesh>,
+    /// What needles aim at.
+    pub targets: Vec<[f32; 3]>,
     /// Points that are followed.
     pub fiducials: &'a [[f32; 3]],
     /// Corners of the scan plane in order round it.
@@ -95,16 +101,21 @@ fn item(mesh: &Mesh, material: Material) -> Item<'_> {
 fn view(scene: &SceneGeometry, camera: &Camera, organ_opacity: f32, out: &mut Picture) {
     // One pixel is this wide.
     let px_mm = 1.0 / camera.px_per_mm.max(1e-6);
-    let mut beads = Mesh::default();
-    for &p in scene.fiducials {
-        let b = ball(p.into(), (3.2 * px_mm).max(0.75), 8);
-        let base = beads.vertices.len() as u32;
-        beads.vertices.extend(b.vertices);
-        beads.normals.extend(b.normals);
+    let beads_of = |points: &[[f32; 3]], radius: f32| {
+        let mut beads = Mesh::default();
+        for &p in points {
+            let b = ball(p.into(), radius, 8);
+            let base = beads.vertices.len() as u32;
+            beads.vertices.extend(b.vertices);
+            beads.normals.extend(b.normals);
+            beads
+                .triangles
+                .extend(b.triangles.iter().map(|t| t.map(|v| v + base)));
+        }
         beads
-            .triangles
-            .extend(b.triangles.iter().map(|t| t.map(|v| v + base)));
-    }
+    };
+    let beads = beads_of(scene.fiducials, (3.2 * px_mm).max(0.75));
+    let targets = beads_of(&scene.targets, (4.5 * px_mm).max(1.2));
     let plane = scene.plane.map(|c| {
         let ring = [c[0], c[1], c[2], c[3], c[0]];
         ribbon(&ring, 2.0 * px_mm, camera.toward)
@@ -134,6 +145,12 @@ fn view(scene: &SceneGeometry, camera: &Camera, organ_opacity: f32, out: &mut Pi
     shown
         .opaque
         .extend(scene.instruments.iter().map(|m| item(m, tool)));
+    let needle = Material {
+        shine: 0.6,
+        ..Material::plain(NEEDLE)
+    };
+    shown.opaque.extend(scene.needles.iter().map(|m| item(m, needle)));
+    shown.opaque.push(item(&targets, Material::plain(TARGET)));
     if let Some(p) = &plane {
         let line = Material {
             lit: false,

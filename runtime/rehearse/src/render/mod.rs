@@ -15,7 +15,7 @@ pub use encode::{Preview, encode_png};
 pub use frame::{FrameText, GreyImage, SceneGeometry, draw_frame};
 pub use picture::{Picture, TextSize};
 pub use raster::{Item, Material, View3d, draw_view};
-pub use shapes::{ball, capsule, polytope, ribbon};
+pub use shapes::{ball, capsule, polytope, ribbon, tube};
 pub use shared::{Mesh, vertex_normals};
 
 /// Red, green, blue, 0 to 1.

@@ -117,3 +117,53 @@ pub fn ribbon(points: &[Vec3], width_mm: f32, toward: Vec3) -> Mesh {
     }
     out
 }
+
+/// A tube of `sides` sides around a line, with a pointed end of two radii at its last point.
+pub fn tube(line: &[Vec3], radius_mm: f32, sides: u32) -> Mesh {
+    let mut out = Mesh::default();
+    let (Some(&first), Some(&last)) = (line.first(), line.last()) else {
+        return out;
+    };
+    let sides = sides.max(3);
+    let mut across = (line.get(1).copied().unwrap_or(first) - first)
+        .normalize_or(Vec3::Z)
+        .any_orthonormal_vector();
+    let mut ring = |at: Vec3, tangent: Vec3, radius: f32| {
+        across = (across - tangent * tangent.dot(across)).normalize_or(tangent.any_orthonormal_vector());
+        let other = tangent.cross(across);
+        for k in 0..sides {
+            let turn = std::f32::consts::TAU * k as f32 / sides as f32;
+            let n = across * turn.cos() + other * turn.sin();
+            out.vertices.push((at + n * radius).to_array());
+            out.normals.push(n.to_array());
+        }
+    };
+    for (k, &p) in line.iter().enumerate() {
+        let before = k.checked_sub(1).map_or(p, |k| line[k]);
+        let after = line.get(k + 1).copied().unwrap_or(p);
+        let tangent = (after - before).normalize_or(Vec3::Z);
+        if k + 1 == line.len() {
+            // The point is at the end of the line.
+            let back = (2.0 * radius_mm).min(0.5 * p.distance(before));
+            ring(p - tangent * back, tangent, radius_mm);
+        } else {
+            ring(p, tangent, radius_mm);
+        }
+    }
+    let tip = out.vertices.len() as u32;
+    out.vertices.push(last.to_array());
+    let before = line.len().checked_sub(2).map_or(first, |k| line[k]);
+    out.normals.push((last - before).normalize_or(Vec3::Z).to_array());
+    for k in 0..line.len() as u32 {
+        for j in 0..sides {
+            let (a, b) = (k * sides + j, k * sides + (j + 1) % sides);
+            if k + 1 == line.len() as u32 {
+                out.triangles.push([a, b, tip]);
+            } else {
+                out.triangles
+                    .extend([[a, b, b + sides], [a, b + sides, a + sides]]);
+            }
+        }
+    }
+    out
+}

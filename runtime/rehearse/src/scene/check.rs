@@ -1,3 +1,4 @@
+mod needle;
 mod tissue;
 
 use super::names::nearest;
@@ -80,6 +81,7 @@ impl SceneSource {
         }
         self.solver()?;
         self.tissue()?;
+        self.needles()?;
         self.pictures()
     }
 
@@ -353,6 +355,7 @@ impl SceneSource {
             }
         }
         self.tissue_against(&package.info.regions)?;
+        self.needles_against(&package.info.regions)?;
         let support = self.scene.support.as_str();
         if matches!(support, "cradle" | "plane" | "none") {
             return Ok(());

@@ -9,3 +9,6 @@ pub const PRESS_AND_RELEASE: &str = include_str!("../../../../fixtures/scenes/pr
 
 /// The protocol on tissue of finite elements (`fixtures/scenes/fem-press.toml`).
 pub const FEM_PRESS: &str = include_str!("../../../../fixtures/scenes/fem-press.toml");
+
+/// A needle through the kidney's capsule into its tumour and out again (`fixtures/scenes/kidney-biopsy.toml`).
+pub const KIDNEY_BIOPSY: &str = include_str!("../../../../fixtures/scenes/kidney-biopsy.toml");

@@ -4,6 +4,7 @@ mod check;
 mod direction;
 mod example;
 pub(crate) mod names;
+mod needle;
 mod read;
 #[cfg(test)]
 mod tests;
@@ -11,7 +12,8 @@ mod tissue;
 
 pub(crate) use check::is_mesh_file;
 pub use direction::Direction;
-pub use example::{EXAMPLE, FEM_PRESS, PRESS_AND_RELEASE, PROBE_PRESS};
+pub use example::{EXAMPLE, FEM_PRESS, KIDNEY_BIOPSY, PRESS_AND_RELEASE, PROBE_PRESS};
+pub use needle::{MembraneEntry, NeedleEntry, NeedleMotion, Reach};
 pub use read::SceneSource;
 pub use tissue::{Hold, MaterialChoice, Model, TissueSettings};
 
@@ -73,6 +75,9 @@ pub struct Scene {
     /// What touches the organs.
     #[serde(rename = "instrument")]
     pub instruments: Vec<Instrument>,
+    /// What is pushed into them, with `model = "fem"`.
+    #[serde(rename = "needle", skip_serializing_if = "Vec::is_empty")]
+    pub needles: Vec<NeedleEntry>,
 }
 
 impl Default for Scene {
@@ -96,6 +101,7 @@ impl Default for Scene {
             packages: Vec::new(),
             holds: Vec::new(),
             instruments: Vec::new(),
+            needles: Vec::new(),
         }
     }
 }

@@ -11,7 +11,7 @@ const PROBE: &str = "[[instrument]]\nname = 'probe'\nshape = 'cuboid'\nsize_mm =
 
 #[test]
 fn bundled_and_example_scenes_read_and_go_round() {
-    for text in [EXAMPLE, PROBE_PRESS, PRESS_AND_RELEASE, FEM_PRESS] {
+    for text in [EXAMPLE, PROBE_PRESS, PRESS_AND_RELEASE, FEM_PRESS, KIDNEY_BIOPSY] {
         let scene = SceneSource::parse(text, "s.toml".as_ref()).unwrap().scene;
         let written = toml::to_string(&scene).unwrap();
         let again = SceneSource::parse(&written, "s.toml".as_ref()).unwrap().scene;
@@ -156,6 +156,42 @@ fn wrong_keys_units_values_and_names_are_told_with_their_line() {
         (
             "model = 'fem'\n[[hold]]\nside = 'posterior'\n".into(),
             "s.toml:3: a side needs depth_mm: how far it reaches",
+        ),
+        (
+            "[[needle]]\ntarget = 'structure'\n".into(),
+            "s.toml:1: needles go into finite elements; set model = \"fem\"",
+        ),
+        (
+            "model = 'fem'\n[[needle]]\nname = 'n'\n".into(),
+            "s.toml:2: a needle without a way: expected a target (target or target_mm), or entry_mm and direction",
+        ),
+        (
+            "model = 'fem'\n[[needle]]\ntarget = 'structure'\nyoungs_modulus_pa = 60\n".into(),
+            "s.toml:4: youngs_modulus_pa is 60, expected 1e8 to 1e12 Pa: nitinol has 60e9, steel 200e9 (was GPa meant?)",
+        ),
+        (
+            "model = 'fem'\n[[needle]]\ntarget = 'structure'\nfriction_un_per_mm = 30000\n".into(),
+            "s.toml:4: unknown key \"friction_un_per_mm\"; the nearest valid key is \"friction_n_per_mm\"",
+        ),
+        (
+            "model = 'fem'\n[[needle]]\ntarget = 'structure'\nfriction_n_per_mm = 30\n".into(),
+            "s.toml:4: friction_n_per_mm is 30, expected 0 to 5 N/mm (measured: 0.005 to 0.1)",
+        ),
+        (
+            "model = 'fem'\n[[needle]]\ntarget = 'structure'\ndiameter_mm = 0.0009\n".into(),
+            "s.toml:4: diameter_mm is 0.0009, expected 0.1 to 5 mm",
+        ),
+        (
+            "model = 'fem'\n[[needle]]\ntarget = 'structure'\ngauge = 9\n".into(),
+            "s.toml:4: gauge 9, expected 10 to 34 (ISO 9626)",
+        ),
+        (
+            "model = 'fem'\n[[needle]]\ntarget = 'structure'\n[[needle.motion]]\nsteps = 5\nreach = 'target'\n".into(),
+            "s.toml:4: expected one of steps, seconds and reach",
+        ),
+        (
+            "model = 'fem'\n[[needle]]\ntarget = 'structure'\n[[needle.motion]]\nreach = 'start'\ninsertion_mm_s = 5\n".into(),
+            "s.toml:5: the start is reached with insertion_mm_s of -0.01 or less",
         ),
         (
             "model = 'fem'\n[[hold]]\n[[hold]]\nbox_mm = [[0, 0, 0], [1, 0, 1]]\n".into(),

@@ -35,6 +35,8 @@ pub struct TissueSettings {
     pub material: BTreeMap<String, MaterialChoice>,
     /// The solver; its gravity is that of `gravity`.
     pub solver: palpate_fem::Settings,
+    /// How needles and tissue are solved together.
+    pub insertion: palpate_needle::InsertionParams,
 }
 
 /// A tissue of the table, with whatever is given here in place of its constants.

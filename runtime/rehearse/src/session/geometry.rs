@@ -37,7 +37,8 @@ impl Session {
             .iter()
             .flat_map(|o| &o.surface.mesh.vertices)
             .chain(tools.iter().flat_map(|m| &m.vertices))
-            .copied();
+            .copied()
+            .chain(self.needle_meshes(0.5).into_iter().flat_map(|n| n.1.vertices));
         let mut out = Camera::framing(points, toward, up, across, height);
         // Room for the support around the organ.
         out.px_per_mm *= 0.9;
@@ -63,6 +64,8 @@ impl Session {
                 .collect(),
             supports: self.supports.iter().collect(),
             instruments: self.tools.iter().map(|t| placed(&t.mesh, t.now)).collect(),
+            needles: self.needle_meshes(0.7).into_iter().map(|n| n.1).collect(),
+            targets: self.targets(),
             fiducials: &self.organs[0].fiducials.points,
             plane: self.imaging.as_ref().map(|i| self.plane(i)),
         };
@@ -157,7 +160,16 @@ impl Session {
                 .push(format!("indentation {:5.2} mm", row.indentation_mm));
         }
         out.lines.extend(self.felt(row));
-        if !self.tools.is_empty() {
+        for (info, n) in self.trace.needles.iter().zip(&row.needles).take(2) {
+            let miss = n
+                .miss_mm()
+                .map_or_else(String::new, |m| format!(", target {m:4.1} mm"));
+            out.lines.push(format!(
+                "{} {:5.2} N, {:4.1} mm deep{miss}",
+                info.name, n.base_axial_n, n.inside_mm
+            ));
+        }
+        if !self.tools.is_empty() || !row.needles.is_empty() {
             out.caution = UNCALIBRATED_SHORT.into();
         }
         out
@@ -248,15 +260,39 @@ impl Session {
             .collect()
     }
 
-    /// Instruments where they are, in patient mm: name, vertices and triangles.
-    pub fn instrument_meshes(&self) -> Vec<(String, Vec<[f64; 3]>, &[[u32; 3]])> {
-        self.tools
-            .iter()
-            .map(|t| {
-                let at = placed(&t.mesh, t.now);
-                let points = super::patient(&at.vertices, self.origin);
-                (t.name.clone(), points, t.mesh.triangles.as_slice())
-            })
+    /// Instruments and needles where they are, in patient mm: name, vertices and triangles.
+    pub fn instrument_meshes(&self) -> Vec<(String, Vec<[f64; 3]>, Vec<[u32; 3]>)> {
+        let tools = self.tools.iter().map(|t| {
+            let at = placed(&t.mesh, t.now);
+            (t.name.clone(), at)
+        });
+        tools
+            .chain(self.needle_meshes(0.0))
+            .map(|(name, mesh)| (name, super::patient(&mesh.vertices, self.origin), mesh.triangles))
+            .collect()
+    }
+
+    /// Needles by name, no thinner than `least_mm` in radius.
+    fn needle_meshes(&self, least_mm: f32) -> Vec<(String, Mesh)> {
+        match &self.engine {
+            Engine::Tissue(t) => t.shaft_meshes(least_mm),
+            _ => Vec::new(),
+        }
+    }
+
+    /// Where the needles' targets are.
+    fn targets(&self) -> Vec<[f32; 3]> {
+        let at = match self.trace.steps.last() {
+            Some(row) => row.needles.iter().filter_map(|n| n.target_mm).collect::<Vec<_>>(),
+            None => self
+                .trace
+                .needles
+                .iter()
+                .filter_map(|n| n.target_rest_mm)
+                .collect(),
+        };
+        at.into_iter()
+            .map(|p| (DVec3::from(p) - self.origin).as_vec3().to_array())
             .collect()
     }
 

@@ -270,7 +270,10 @@ impl Session {
                 }
             }
             Engine::Tissue(tissue) => {
-                tissue.step()?;
+                if let Err(e) = tissue.step() {
+                    self.step -= 1;
+                    return Err(e);
+                }
                 tissue.carry(&mut self.organs);
                 self.shown = self.step;
                 tissue.times()
@@ -378,7 +381,13 @@ impl Session {
             _ => 0,
         };
         let in_image = self.imaging.as_ref().map_or(0, |i| i.inverted_tets);
+        let (needles, coupling) = match &self.engine {
+            Engine::Tissue(t) => t.needle_steps_made(),
+            _ => (Vec::new(), None),
+        };
         StepRow {
+            needles,
+            coupling,
             step: self.step,
             time_s: self.timeline.time_s(self.step),
             stage: self

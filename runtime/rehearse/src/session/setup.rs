@@ -99,7 +99,7 @@ impl Session {
             gravity_mm_s2: scene.gravity.vector_mm_s2(),
             ..scene.solver.clone()
         };
-        let timeline = Timeline::new(&scene, scene.dt_s());
+        let mut timeline = Timeline::new(&scene, scene.dt_s());
         let imaging = Imaging::new(&scene, packages, &embeddings)?;
         let mut materials = Vec::new();
         let engine = match device {
@@ -128,10 +128,16 @@ impl Session {
             }
         };
         warnings.extend(engine.cautions());
+        let mut needles = Vec::new();
+        if let Engine::Tissue(t) = &engine {
+            timeline.extend(t.needle_steps(), &t.movements());
+            needles = t.needle_infos();
+        }
         let lead = &organs[0];
         let trace = Trace {
             device: engine.device(),
             fem: scene.is_fem(),
+            needles,
             instruments: tools.iter().map(|t| t.name.clone()).collect(),
             fiducials: lead.fiducial_names.clone(),
             fiducials_rest_mm: patient(&lead.fiducials.points, origin),

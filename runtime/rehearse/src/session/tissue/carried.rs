@@ -88,53 +88,63 @@ impl Carried {
 
     /// Ties the points anew that lay in tets that are gone or changed; whether there were any such tets.
     pub(super) fn update(&mut self, mesh: &TissueMesh) -> bool {
-        let now = snapshot(mesh);
-        let slots = now.len().max(self.tets.len());
-        let same = |s: usize| now.get(s).copied().flatten() == self.tets.get(s).copied().flatten();
-        let changed: Vec<bool> = (0..slots).map(|s| !same(s)).collect();
+        let slots = mesh.tet_slots().max(self.tets.len());
+        self.tets.resize(slots, None);
+        let mut changed = vec![false; slots];
+        let mut fresh: Vec<u32> = Vec::new();
+        for (s, old) in self.tets.iter_mut().enumerate() {
+            let now = shape(mesh, s as u32);
+            if *old != now {
+                changed[s] = true;
+                *old = now;
+                if now.is_some() {
+                    fresh.push(s as u32);
+                }
+            }
+        }
         if !changed.contains(&true) {
             return false;
         }
         // What changed covers the same space before and after.
-        let fresh: Vec<u32> = (0..now.len())
-            .filter(|&s| changed[s] && now[s].is_some())
-            .map(|s| s as u32)
-            .collect();
+        let now = &self.tets;
         self.seats
             .par_iter_mut()
             .zip(&self.rest)
             .filter(|(seat, _)| seat.outer.is_none() && changed[seat.tet as usize])
             .for_each(|(seat, &p)| {
-                let anew = best(&now, fresh.iter().copied(), p).unwrap_or(*seat);
+                let anew = best(now, fresh.iter().copied(), p).unwrap_or(*seat);
                 *seat = Seat { outer: None, ..anew };
             });
-        self.tets = now;
         true
+    }
+
+    /// One point now, with nodes at `x`.
+    pub(super) fn at(&self, index: usize, x: &[DVec3]) -> DVec3 {
+        let s = &self.seats[index];
+        match s.outer {
+            Some(o) => {
+                let moved = |&(n, w, at): &(u32, f64, DVec3)| (x[n as usize] - at) * w;
+                self.rest[index] + self.outer[o as usize].0.iter().map(moved).sum::<DVec3>()
+            }
+            None => (0..4).map(|k| x[s.corners[k] as usize] * s.weights[k]).sum(),
+        }
     }
 
     /// Points now, those of `range`, with nodes at `x`.
     pub(super) fn write(&self, range: std::ops::Range<usize>, x: &[DVec3], out: &mut [[f32; 3]]) {
-        let rest = &self.rest[range.clone()];
-        for ((s, rest), out) in self.seats[range].iter().zip(rest).zip(out) {
-            let p: DVec3 = match s.outer {
-                Some(o) => {
-                    let moved = |&(n, w, at): &(u32, f64, DVec3)| (x[n as usize] - at) * w;
-                    *rest + self.outer[o as usize].0.iter().map(moved).sum::<DVec3>()
-                }
-                None => (0..4).map(|k| x[s.corners[k] as usize] * s.weights[k]).sum(),
-            };
-            *out = p.as_vec3().to_array();
+        for (i, out) in range.zip(out) {
+            *out = self.at(i, x).as_vec3().to_array();
         }
     }
 }
 
+fn shape(mesh: &TissueMesh, slot: u32) -> Option<(Tet, [DVec3; 4])> {
+    mesh.tet(slot)
+        .map(|t| (t, t.corners.map(|c| mesh.rest()[c as usize])))
+}
+
 fn snapshot(mesh: &TissueMesh) -> Vec<Option<(Tet, [DVec3; 4])>> {
-    (0..mesh.tet_slots() as u32)
-        .map(|s| {
-            mesh.tet(s)
-                .map(|t| (t, t.corners.map(|c| mesh.rest()[c as usize])))
-        })
-        .collect()
+    (0..mesh.tet_slots() as u32).map(|s| shape(mesh, s)).collect()
 }
 
 /// Barycentric coordinates, and how far inside the nearest face the point lies (below 0: outside), mm.

@@ -1,0 +1,213 @@
+//! Scenes with a needle on a small package.
+
+mod common;
+
+use common::Dir;
+
+/// A fine needle from the front into the tumour of the small package and out again.
+const SCENE: &str = "\
+name = 'Small biopsy'
+model = 'fem'
+support = 'cradle'
+
+[cradle]
+height_share = 0.4
+
+[tissue]
+law = 'neo_hookean'
+
+[[needle]]
+name = 'needle'
+diameter_mm = 0.5
+target = 'tumour'
+from = 'anterior'
+gap_mm = 1.0
+edge_mm = 2.0
+free_mm = 8.0
+friction_n_per_mm = 0.002
+cutting_force_n = 0.01
+[[needle.membrane]]
+name = 'capsule'
+thickness_mm = 0.3
+force_n = 0.02
+[[needle.motion]]
+name = 'in'
+reach = 'target'
+insertion_mm_s = 8
+[[needle.motion]]
+name = 'turn'
+seconds = 0.2
+rotation_degrees = 90
+[[needle.motion]]
+name = 'out'
+reach = 'start'
+insertion_mm_s = -8
+[[needle.motion]]
+name = 'after'
+seconds = 1.0
+
+[view]
+width_px = 640
+height_px = 360
+
+[record]
+frame_every_steps = 20
+preview_every_steps = 0
+vtu_every_steps = 20
+";
+
+struct Row(Vec<(String, String)>);
+
+impl Row {
+    fn text(&self, name: &str) -> &str {
+        &self
+            .0
+            .iter()
+            .find(|c| c.0 == name)
+            .unwrap_or_else(|| panic!("{name}"))
+            .1
+    }
+    fn number(&self, name: &str) -> f64 {
+        self.text(name)
+            .parse()
+            .unwrap_or_else(|_| panic!("{name}: {}", self.text(name)))
+    }
+}
+
+fn rows(csv: &str) -> Vec<Row> {
+    let mut lines = csv.lines().filter(|l| !l.starts_with('#'));
+    let head: Vec<&str> = lines.next().unwrap().split(',').collect();
+    lines
+        .map(|l| {
+            Row(head
+                .iter()
+                .zip(l.split(','))
+                .map(|(h, c)| (h.to_string(), c.to_string()))
+                .collect())
+        })
+        .collect()
+}
+
+#[test]
+fn a_needle_dimples_enters_and_leaves_and_the_organ_recovers() {
+    let d = Dir::new();
+    d.write("n.toml", SCENE);
+    let told = d.ok("check n.toml --package k.palpate");
+    assert!(told.contains(": in\n") && told.contains(": after\n"), "{told}");
+    d.ok("run n.toml --package k.palpate -o out --threads 1 -q");
+    let all = rows(&d.read("out/needle.csv"));
+    let at = |event: &str| {
+        all.iter()
+            .position(|r| r.text("events").contains(event))
+            .unwrap_or_else(|| panic!("no event: {event}"))
+    };
+    let (touch, enter, through, left) = (
+        at("touches the surface"),
+        at("enters"),
+        at("through capsule"),
+        at("has left"),
+    );
+    assert!(touch < enter && enter <= through && through < left);
+    // Nothing is felt before, the capsule's 0.02 N (20 % for the needle's own inertia) when it gives way, less just after.
+    assert!(all[touch - 1].number("base_axial_n").abs() < 2e-3);
+    let gave = all[enter - 1].number("base_axial_n");
+    assert!((gave - 0.02).abs() < 0.004, "{gave}");
+    let deepest = all.iter().map(|r| r.number("inside_mm")).fold(0.0, f64::max);
+    let (most, last) = (
+        all.iter()
+            .map(|r| r.number("target_moved_mm"))
+            .fold(0.0, f64::max),
+        all.last().unwrap(),
+    );
+    assert!(deepest > 1.0 && most > 0.01, "{deepest} {most}");
+    // Pulled while it goes back; at rest without it.
+    let pulled = all[enter..left]
+        .iter()
+        .map(|r| r.number("base_axial_n"))
+        .fold(0.0, f64::min);
+    assert!(pulled < -1e-3, "{pulled}");
+    assert!(
+        last.number("target_moved_mm") < 0.1 * most,
+        "{} of {most}",
+        last.number("target_moved_mm")
+    );
+    assert!(last.number("inside_mm").abs() < 1e-9 && last.text("tip_rest_x_mm").is_empty());
+    // The tip ends its way in near the target: the bevel turns it aside by less than tan 10° of the way.
+    let nearest = all
+        .iter()
+        .map(|r| r.number("miss_mm"))
+        .fold(f64::INFINITY, f64::min);
+    assert!(nearest < 0.5 + 0.18 * deepest, "{nearest} at {deepest}");
+    let page = d.read("out/summary.html");
+    for part in [
+        "miss distance",
+        "Push of the sleeve",
+        "After turn",
+        "coupling",
+        "agree with their solution",
+    ] {
+        assert!(page.contains(part), "{part}");
+    }
+    assert!(d.entries("out/vtu").iter().any(|g| g == "instrument-needle.pvd"));
+    // The same on other threads, and repeated.
+    d.ok("run n.toml --package k.palpate -o more --threads 3 -q");
+    assert!(d.read("out/recording.json") == d.read("more/recording.json"));
+    assert!(d.read("out/needle.csv") == d.read("more/needle.csv"));
+    let told = d.ok("replay out/recording.json");
+    assert!(told.contains("every state the same"), "{told}");
+}
+
+#[test]
+fn what_a_needle_cannot_do_is_told() {
+    let d = Dir::new();
+    let fails = |text: &str| {
+        d.write("bad.toml", text);
+        d.fails(1, "run bad.toml --package k.palpate -o out -q")
+    };
+    let swapped = |from: &str, to: &str| {
+        assert!(SCENE.contains(from), "{from}");
+        SCENE.replace(from, to)
+    };
+    let err = fails(&swapped("target = 'tumour'", "target = 'tumuor'"));
+    assert!(
+        err.contains("bad.toml:14:") && err.contains("did you mean \"tumour\"?"),
+        "{err}"
+    );
+    let err = fails(&swapped("free_mm = 8.0", "free_mm = 8.0\nlength_mm = 10"));
+    assert!(
+        err.contains("needle \"needle\" is 10 mm long") && err.contains("make length_mm at least"),
+        "{err}"
+    );
+    // From within: the place of the target itself.
+    d.write("n.toml", SCENE);
+    d.ok("run n.toml --package k.palpate -o good -q");
+    let first = &rows(&d.read("good/needle.csv"))[0];
+    let place = ["x", "y", "z"]
+        .map(|k| first.text(&format!("target_{k}_mm")).to_string())
+        .join(", ");
+    let inside = format!("entry_mm = [{place}]\ndirection = 'posterior'");
+    let text =
+        swapped("target = 'tumour'\nfrom = 'anterior'", &inside).replace("reach = 'target'", "steps = 20");
+    let err = fails(&text);
+    assert!(
+        err.contains("starts inside the tissue") && !d.path("out").exists(),
+        "{err}"
+    );
+    assert_eq!(err, d.fails(1, "check bad.toml --package k.palpate"));
+    // Through to the other side: what it did until then is left.
+    let err = fails(&swapped("reach = 'target'", "seconds = 6.0"));
+    assert!(
+        err.contains("would leave the tissue through another side"),
+        "{err}"
+    );
+    let page = d.read("out/summary.html");
+    assert!(page.contains("The session stopped: step") && page.contains("enters"));
+    let made = rows(&d.read("out/needle.csv")).len();
+    assert!(
+        d.ok("replay out/recording.json")
+            .contains(&format!("{made} steps"))
+    );
+    // A structure that is held is bone.
+    let err = fails(&format!("{SCENE}\n[[hold]]\nstructure = 'tumour'\n"));
+    assert!(err.contains("which is rigid (bone)"), "{err}");
+}
