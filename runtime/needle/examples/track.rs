@@ -1,6 +1,7 @@
 //! Straight and curved needles pushed into a mesh and drawn out again, without forces: time of the remeshing, quality of the mesh.
 //!
-//! `cargo run --release --example track [package.palpate] [mm per step]`; without a package, a block of 13 182 tets.
+//! `cargo run --release -p palpate-needle --example track -- [package.palpate] [mm per step] [needles]`; without a package, or for `block`, a
+//! block of 13 182 tets. Ends with an error if a mesh is not what it was once a needle has left.
 
 use glam::{DMat3, DQuat, DVec3};
 use palpate_fem::{Material, NodeState, Settings, Simulation, TissueMesh};
@@ -16,6 +17,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut args = std::env::args().skip(1);
     let package = args.next();
     let step_mm: f64 = args.next().map_or(Ok(0.2), |a| a.parse())?;
+    let needles: usize = args.next().map_or(Ok(12), |a| a.parse())?;
     let mesh = match package.as_deref() {
         None | Some("block") => block()?,
         Some(path) => TissueMesh::from_package(&ModelPackage::read(path)?)?,
@@ -25,7 +27,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("angles at the start {:.1?}", angles(&mesh));
     let mut total = BTreeMap::new();
     let (mut times, mut least, mut most) = (Vec::new(), 180.0f64, 0.0f64);
-    for needle in 0..12 {
+    for needle in 0..needles {
         let materials = vec![Material::default(); regions as usize + 1];
         let mut sim = Simulation::new(mesh.clone(), materials, Settings::default())?;
         let Some((start, direction)) = aim(&mesh, needle) else {
@@ -72,6 +74,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             *counts.entry("restored".into()).or_default() += report.restored;
         }
         let left = track.leave(&mut sim)?;
+        if tets(sim.mesh()) != tets(&mesh) || sim.mesh().rest()[..mesh.node_slots()] != *mesh.rest() {
+            return Err(format!("needle {needle} left another mesh behind").into());
+        }
         let farthest = left.displaced.iter().fold(0.0f64, |m, d| m.max(d.distance_mm));
         println!(
             "{needle:>2}: {nodes} nodes, depth {depth}, angles {:.1}..{:.1}; left {} nodes moved, farthest {farthest:.2} mm; restored {}",
@@ -95,6 +100,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         times[times.len() - 1]
     );
     Ok(())
+}
+
+/// Corners and regions of all tets, sorted.
+fn tets(mesh: &TissueMesh) -> Vec<([u32; 4], u16)> {
+    let mut tets: Vec<_> = mesh.tets().map(|(_, t)| (t.corners, t.region)).collect();
+    tets.sort_unstable();
+    tets
 }
 
 fn count(counts: &mut BTreeMap<String, u32>, operations: &[Operation], prefix: &str) {

@@ -309,11 +309,8 @@ impl<'a> Search<'a> {
         let mut starts = vec![overlay.rest(node)];
         starts.extend(first);
         let star = overlay.star(node);
-        let reach = star
-            .tets
-            .iter()
-            .fold(0.0f64, |most, (x, c)| most.max(x[*c].distance(x[(c + 1) % 4])));
-        if let Some(best) = star.best_near(&starts, 0.2 * reach, 3 * self.track.params.evaluations) {
+        let step = 0.2 * star.reach();
+        if let Some(best) = star.best_near(&starts, step, 3 * self.track.params.evaluations) {
             overlay.move_to(node, best);
         }
     }

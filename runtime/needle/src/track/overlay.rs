@@ -104,15 +104,11 @@ impl<'a> Overlay<'a> {
 
     /// The tets around a node, to be judged for places of that node.
     pub fn star(&self, node: u32) -> Star {
-        let tets = self
-            .holding(&[node])
-            .into_iter()
-            .filter_map(|(_, t)| {
-                let corner = t.corners.iter().position(|&c| c == node)?;
-                Some((self.shape(t), corner))
-            })
-            .collect();
-        Star { tets }
+        let tets = self.holding(&[node]).into_iter();
+        Star::new(tets.filter_map(|(_, t)| {
+            let corner = t.corners.iter().position(|&c| c == node)?;
+            Some((self.shape(t), corner))
+        }))
     }
 
     /// Slots of tets of the mesh that stay and have a moved corner.

@@ -20,28 +20,80 @@ pub(super) fn quality(x: [DVec3; 4]) -> f64 {
     volume(x) / (mean * mean.sqrt())
 }
 
+/// Corner order of the face opposite each corner, seen from outside.
+const OPPOSITE: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
+
+/// One tet as a function of one corner's place p: volume normal·(p − middle), squared edges fixed + 3·|p − middle|² together, with
+/// the middle of the face opposite.
+struct Spoke {
+    middle: DVec3,
+    normal: DVec3,
+    fixed: f64,
+}
+
+impl Spoke {
+    fn new(x: [DVec3; 4], corner: usize) -> Self {
+        let [a, b, c] = OPPOSITE[corner].map(|k| x[k]);
+        let middle = (a + b + c) / 3.0;
+        let sides = a.distance_squared(b) + b.distance_squared(c) + c.distance_squared(a);
+        let to_middle = a.distance_squared(middle) + b.distance_squared(middle) + c.distance_squared(middle);
+        Self {
+            middle,
+            normal: (c - a).cross(b - a) / 6.0,
+            fixed: sides + to_middle,
+        }
+    }
+
+    fn quality(&self, p: DVec3) -> f64 {
+        let away = p - self.middle;
+        let mean = (self.fixed + 3.0 * away.length_squared()) / 6.0;
+        self.normal.dot(away) / (mean * mean.sqrt())
+    }
+}
+
 /// Tets around one node, of which that node moves.
 pub(super) struct Star {
-    /// Corners, and which of them is the node.
-    pub tets: Vec<([DVec3; 4], usize)>,
+    spokes: Vec<Spoke>,
+    reach: f64,
 }
 
 impl Star {
-    /// Least quality with the node at `p`.
-    pub fn worst(&self, p: DVec3) -> f64 {
-        let mut least = f64::INFINITY;
-        for &(mut x, corner) in &self.tets {
-            x[corner] = p;
-            least = least.min(quality(x));
-        }
-        least
+    /// Corners of tets, and which of them is the node.
+    pub fn new(tets: impl Iterator<Item = ([DVec3; 4], usize)>) -> Self {
+        let mut reach = 0.0f64;
+        let spokes = tets
+            .map(|(x, corner)| {
+                for k in 0..4 {
+                    reach = reach.max(x[corner].distance(x[k]));
+                }
+                Spoke::new(x, corner)
+            })
+            .collect();
+        Self { spokes, reach }
     }
 
-    /// Length of the longest edge at the node, mm, to within what is left out: one edge of each tet.
+    /// Length of the longest edge at the node, mm.
     pub fn reach(&self) -> f64 {
-        self.tets.iter().fold(0.0f64, |most, (x, corner)| {
-            most.max(x[*corner].distance(x[(corner + 1) % 4]))
-        })
+        self.reach
+    }
+
+    /// Least quality with the node at `p`.
+    pub fn worst(&self, p: DVec3) -> f64 {
+        self.spokes
+            .iter()
+            .fold(f64::INFINITY, |least, s| least.min(s.quality(p)))
+    }
+
+    /// As [`Star::worst`] where that is above `floor`; elsewhere something not above it.
+    fn worst_above(&self, p: DVec3, floor: f64) -> f64 {
+        let mut least = f64::INFINITY;
+        for s in &self.spokes {
+            least = least.min(s.quality(p));
+            if least <= floor {
+                break;
+            }
+        }
+        least
     }
 
     /// Place within the middle nine tenths of the segment where the worst tet is best, by golden section: least quality along a
@@ -84,7 +136,7 @@ impl Star {
             for axis in DVec3::AXES {
                 for side in [step, -step] {
                     let q = p + axis * side;
-                    let g = self.worst(q);
+                    let g = self.worst_above(q, next.0);
                     if g > next.0 {
                         next = (g, q);
                     }
@@ -126,6 +178,31 @@ mod tests {
     }
 
     #[test]
+    fn a_star_has_the_worst_of_its_tets() {
+        let x = [
+            DVec3::new(0.1, 0.2, -0.1),
+            DVec3::new(1.0, 0.1, 0.2),
+            DVec3::new(0.0, 1.3, 0.1),
+            DVec3::new(0.2, 0.3, 0.9),
+        ];
+        for p in [DVec3::new(0.3, 0.1, 0.2), DVec3::new(-2.0, 0.5, 4.0)] {
+            let mut least = f64::INFINITY;
+            for corner in 0..4 {
+                let mut y = x;
+                y[corner] = p;
+                let one = Star::new([(x, corner)].into_iter());
+                assert!((one.worst(p) - quality(y)).abs() < 1e-15);
+                least = least.min(quality(y));
+            }
+            let all = Star::new((0..4).map(|c| (x, c)));
+            assert!((all.worst(p) - least).abs() < 1e-15);
+            assert_eq!(all.worst_above(p, least - 0.01), all.worst(p));
+            assert!(all.worst_above(p, least + 0.01) <= least + 0.01);
+            assert!((all.reach() - x[1].distance(x[2])).abs() < 1e-15);
+        }
+    }
+
+    #[test]
     fn optimisers_find_the_middle_of_an_octahedron() {
         let ring = [DVec3::X, DVec3::Y, -DVec3::X, -DVec3::Y];
         let mut tets = Vec::new();
@@ -138,7 +215,7 @@ mod tests {
                 tets.push((x, 0));
             }
         }
-        let star = Star { tets };
+        let star = Star::new(tets.into_iter());
         let on = star.best_on(DVec3::new(-0.6, 0.0, 0.0), DVec3::new(0.9, 0.0, 0.0), 30);
         assert!(on.length() < 1e-3, "{on}");
         let near = star.best_near(&[DVec3::new(0.3, 0.2, -0.4)], 0.3, 600).unwrap();
