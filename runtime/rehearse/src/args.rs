@@ -53,6 +53,9 @@ pub enum Command {
         /// The protocol on the packages' finite elements.
         #[arg(long, conflicts_with = "scene")]
         fem: bool,
+        /// How exact the image is in place of time: its mesh against points skinned directly. On the CPU.
+        #[arg(long, conflicts_with = "fem")]
+        image: bool,
         /// Devices: auto measures the CPU and every real GPU.
         #[command(flatten)]
         device: BackendArgs,

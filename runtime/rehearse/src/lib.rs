@@ -7,6 +7,7 @@
 pub mod args;
 mod backend;
 mod bench;
+mod bench_image;
 mod commands;
 mod error;
 pub mod motion;
@@ -20,6 +21,7 @@ pub mod trace;
 
 pub use backend::{Backend, BackendArgs, devices};
 pub use bench::{BenchRow, bench, bench_tables};
+pub use bench_image::bench_image;
 pub use commands::check;
 pub use error::RehearseError;
 pub use palpate_console::{Progress, UsageError};

@@ -5,7 +5,7 @@ use palpate_rehearse::args::{Cli, Command, RunArgs};
 use palpate_rehearse::recording::{Recording, Replayed, TOLERANCE_MM};
 use palpate_rehearse::scene::{EXAMPLE, FEM_PRESS, KIDNEY_BIOPSY, PROBE_PRESS, SceneSource};
 use palpate_rehearse::session::{Device, Session, load};
-use palpate_rehearse::{Backend, Progress, UsageError, bench, bench_tables, check, devices};
+use palpate_rehearse::{Backend, Progress, UsageError, bench, bench_image, bench_tables, check, devices};
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
@@ -57,12 +57,19 @@ fn run(cli: Cli) -> anyhow::Result<()> {
             packages,
             scene,
             fem,
+            image,
             device,
             threads,
             quiet,
         } => {
             device.check()?;
             use_threads(threads)?;
+            if image {
+                let cpu = Device::Cpu { threads };
+                let progress = Progress::counting(quiet);
+                let table = bench_image(scene.as_deref(), &packages, &cpu, &progress)?;
+                return print(&table);
+            }
             let (devices, notes) = match fem {
                 // Finite elements are computed on the CPU.
                 true => (vec![Device::Cpu { threads }], Vec::new()),

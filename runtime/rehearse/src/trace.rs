@@ -60,6 +60,11 @@ pub struct Contact {
     pub contacts: u32,
     /// Deepest penetration, mm.
     pub depth_mm: f64,
+    /// How far the organ's surface below the front at its start has gone along its axis since then, mean, mm: the dent. Not a
+    /// number where nothing lies below it, and on a GPU, where the surface stays.
+    pub dent_mean_mm: f64,
+    /// The same, most, mm.
+    pub dent_most_mm: f64,
 }
 
 impl Contact {

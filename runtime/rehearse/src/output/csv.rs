@@ -36,7 +36,7 @@ pub fn force_csv(trace: &Trace) -> String {
     out.push_str(
         "step,time_s,stage,indentation_mm,instrument,force_x_n,force_y_n,force_z_n,smooth_force_x_n,smooth_force_y_n,\
          smooth_force_z_n,torque_x_n_mm,torque_y_n_mm,torque_z_n_mm,normal_force_n,area_mm2,pressure_kpa,contacts,\
-         depth_mm\n",
+         depth_mm,dent_mean_mm,dent_most_mm\n",
     );
     for s in &trace.steps {
         for (name, c) in trace.instruments.iter().zip(&s.contacts) {
@@ -54,8 +54,14 @@ pub fn force_csv(trace: &Trace) -> String {
             }
             let _ = writeln!(
                 out,
-                ",{:.6},{:.3},{:.4},{},{:.4}",
-                c.normal_force_n, c.area_mm2, c.pressure_kpa, c.contacts, c.depth_mm
+                ",{:.6},{:.3},{:.4},{},{:.4},{},{}",
+                c.normal_force_n,
+                c.area_mm2,
+                c.pressure_kpa,
+                c.contacts,
+                c.depth_mm,
+                known(c.dent_mean_mm),
+                known(c.dent_most_mm)
             );
         }
     }
@@ -84,6 +90,15 @@ pub fn timings_csv(trace: &Trace) -> String {
         out.push('\n');
     }
     out
+}
+
+/// A length, or an empty cell where it is not known.
+fn known(v: f64) -> String {
+    if v.is_finite() {
+        format!("{v:.4}")
+    } else {
+        String::new()
+    }
 }
 
 /// A name as one cell.

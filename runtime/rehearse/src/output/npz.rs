@@ -6,8 +6,9 @@ use zip::{CompressionMethod, ZipWriter};
 /// The session as one file that `numpy.load` opens. Arrays (n steps, i instruments, f fiducials, p parts of a step):
 /// `step`, `time_s`, `stage`, `indentation_mm`, `clamps` (n); `fiducials_mm` (n, f, 3), `fiducials_rest_mm` (f, 3),
 /// `fiducial_names` (f); `force_n`, `smooth_force_n`, `torque_n_mm` (n, i, 3), `normal_force_n`, `area_mm2`,
-/// `pressure_kpa` (n, i), `instrument_names` (i); `timings_s` (n, p), `timing_names` (p), `total_s`, `collision_s` (n);
-/// `stage_names`, `stage_last_step`, `stage_indentation_mm`; with needles `needle_*`; `device`; `note`, what must not be read into them.
+/// `pressure_kpa`, `dent_mean_mm`, `dent_most_mm` (n, i), `instrument_names` (i); `timings_s` (n, p), `timing_names` (p),
+/// `total_s`, `collision_s` (n); `stage_names`, `stage_last_step`, `stage_indentation_mm`; with needles `needle_*`;
+/// `device`; `note`, what must not be read into them.
 ///
 /// # Errors
 /// The zip writer's: only where the file would pass 4 GiB.
@@ -58,6 +59,8 @@ pub fn trace_npz(trace: &Trace) -> zip::result::ZipResult<Vec<u8>> {
     put("normal_force_n", floats(&[n, i], &scalars(&|c| c.normal_force_n)))?;
     put("area_mm2", floats(&[n, i], &scalars(&|c| c.area_mm2)))?;
     put("pressure_kpa", floats(&[n, i], &scalars(&|c| c.pressure_kpa)))?;
+    put("dent_mean_mm", floats(&[n, i], &scalars(&|c| c.dent_mean_mm)))?;
+    put("dent_most_mm", floats(&[n, i], &scalars(&|c| c.dent_most_mm)))?;
     put("instrument_names", texts(&trace.instruments))?;
     let times: Vec<f64> = trace.steps.iter().flat_map(|s| s.times.parts).collect();
     put("timings_s", floats(&[n, trace.parts().len()], &times))?;

@@ -1,5 +1,5 @@
 use super::chart::{Line, Plot, bars, escaped, plot};
-use crate::trace::{Spread, StepRow, Trace, UNCALIBRATED, UNCALIBRATED_GREY, UNCALIBRATED_MOTION};
+use crate::trace::{Contact, Spread, StepRow, Trace, UNCALIBRATED, UNCALIBRATED_GREY, UNCALIBRATED_MOTION};
 use std::fmt::Write;
 
 /// Colours of the parts of a step.
@@ -210,13 +210,23 @@ fn contacts(out: &mut String, trace: &Trace) {
         return;
     }
     let _ = writeln!(out, "<h2>Contact</h2><p class=\"caution\">{UNCALIBRATED}</p>");
-    type Quantity = (&'static str, &'static str, fn(&crate::trace::Contact) -> f64);
-    let quantities: [Quantity; 3] = [
+    type Quantity = (&'static str, &'static str, fn(&Contact) -> f64);
+    let quantities: [Quantity; 5] = [
         ("Force (smoothed), not calibrated", "N", |c| c.force()),
         ("Contact area", "mm²", |c| c.area_mm2),
         ("Mean pressure, not calibrated", "kPa", |c| c.pressure_kpa),
+        (
+            "Dent: surface below the front, mean way along its axis",
+            "mm",
+            |c| c.dent_mean_mm,
+        ),
+        ("Dent, deepest", "mm", |c| c.dent_most_mm),
     ];
     for (title, unit, get) in quantities {
+        let known = |s: &StepRow| s.contacts.iter().any(|c| get(c).is_finite());
+        if !trace.steps.iter().any(known) {
+            continue;
+        }
         let lines = trace
             .instruments
             .iter()
@@ -240,7 +250,7 @@ fn contacts(out: &mut String, trace: &Trace) {
     }
     out.push_str(
         "<table><tr><th>stage</th><th>instrument</th><th>force, N</th><th>torque, N·mm</th><th>area, mm²</th><th>pressure, \
-         kPa</th></tr>",
+         kPa</th><th>dent, mm: mean, most</th></tr>",
     );
     for stage in &trace.stages {
         let Some(row) = (stage.last_step as usize)
@@ -253,16 +263,45 @@ fn contacts(out: &mut String, trace: &Trace) {
             let torque = c.torque_n_mm.iter().map(|t| t * t).sum::<f64>().sqrt();
             let _ = write!(
                 out,
-                "<tr><td>{}</td><td>{}</td><td>{:.3}</td><td>{torque:.2}</td><td>{:.0}</td><td>{:.2}</td></tr>",
+                "<tr><td>{}</td><td>{}</td><td>{:.3}</td><td>{torque:.2}</td><td>{:.0}</td><td>{:.2}</td><td>{}</td></tr>",
                 escaped(&stage.name),
                 escaped(name),
                 c.force(),
                 c.area_mm2,
-                c.pressure_kpa
+                c.pressure_kpa,
+                dent(c)
             );
         }
     }
     out.push_str("</table>\n");
+    residual(out, trace);
+}
+
+fn dent(c: &Contact) -> String {
+    match c.dent_most_mm.is_finite() {
+        true => format!("{:.2}, {:.2}", c.dent_mean_mm, c.dent_most_mm),
+        false => "–".into(),
+    }
+}
+
+/// What is left where the last stage has lifted the instrument off.
+fn residual(out: &mut String, trace: &Trace) {
+    let (Some(stage), Some(row)) = (trace.stages.last(), trace.steps.last()) else {
+        return;
+    };
+    if stage.indentation_mm >= 0.0 || trace.stages.len() < 2 {
+        return;
+    }
+    let fiducials = Spread::of(&trace.displacements(Some(0), trace.stages.len() - 1));
+    let _ = write!(
+        out,
+        "<p>Left after release: fiducials {:.2} mm off where they were after the first stage in the mean, {:.2} mm at most",
+        fiducials.mean, fiducials.max
+    );
+    for (name, c) in trace.instruments.iter().zip(&row.contacts) {
+        let _ = write!(out, "; dent of {} (mean, most) {} mm", escaped(name), dent(c));
+    }
+    out.push_str(".</p>\n");
 }
 
 fn timings(out: &mut String, trace: &Trace) {

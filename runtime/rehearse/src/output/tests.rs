@@ -210,3 +210,37 @@ assert r.time_values == [0.25, 0.5]
         .unwrap();
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
 }
+
+#[test]
+fn dents_are_told_where_they_are_known_and_what_a_release_leaves() {
+    let mut t = trace();
+    for s in &mut t.steps {
+        let depth = 0.5 * s.indentation_mm;
+        s.contacts[0].dent_mean_mm = if s.step == 3 { f64::NAN } else { 0.5 * depth };
+        s.contacts[0].dent_most_mm = if s.step == 3 { f64::NAN } else { depth };
+    }
+    let csv = force_csv(&t);
+    let rows: Vec<&str> = csv.lines().filter(|l| !l.starts_with('#')).collect();
+    assert!(rows[0].ends_with(",dent_mean_mm,dent_most_mm"));
+    assert!(
+        rows[3].ends_with(",,") && rows[20].ends_with(",1.2500,2.5000"),
+        "{}",
+        rows[20]
+    );
+    let html = summary_html(&SummaryInput::new("t", &t));
+    assert!(html.contains("<td>1.25, 2.50</td>") && !html.contains("Left after release"));
+    t.stages[1].indentation_mm = -8.0;
+    let html = summary_html(&SummaryInput::new("t", &t));
+    // b goes 10/60 mm from step 10 to step 20, a as far.
+    assert!(
+        html.contains("Left after release: fiducials 0.17 mm off"),
+        "{html}"
+    );
+    assert!(html.contains("dent of probe, left (mean, most) 1.25, 2.50 mm."));
+    for s in &mut t.steps {
+        s.contacts[0].dent_mean_mm = f64::NAN;
+        s.contacts[0].dent_most_mm = f64::NAN;
+    }
+    let html = summary_html(&SummaryInput::new("t", &t));
+    assert!(!html.contains("Dent, deepest"));
+}

@@ -1,7 +1,9 @@
 //! A session: packages, solver, support and instruments, stepped along the timeline.
 
 mod aim;
+mod dent;
 mod engine;
+mod exactness;
 mod geometry;
 mod imaging;
 mod load;
@@ -12,6 +14,7 @@ mod tissue;
 mod tool;
 
 pub use engine::Device;
+pub use exactness::{CentroidError, ImageExactness};
 pub use geometry::{CroppedImage, RestShape};
 pub use load::{Loaded, load};
 pub use support::Balance;
@@ -21,6 +24,7 @@ use crate::motion::{RigidPose, Timeline};
 use crate::render::Mesh;
 use crate::scene::{ContactState, Scene};
 use crate::trace::{Contact, StepRow, StepTimes, Trace};
+use dent::Dent;
 use engine::Engine;
 use glam::{DVec3, Vec3};
 use imaging::Imaging;
@@ -39,6 +43,7 @@ struct Tool {
     inner: DVec3,
     now: RigidPose,
     mesh: Mesh,
+    dent: Dent,
 }
 
 /// How large a session's problem is, over all organs.
@@ -358,8 +363,17 @@ impl Session {
             .tools
             .iter()
             .map(|t| {
+                // On a GPU the surface stays there.
+                let [dent_mean_mm, dent_most_mm] = match self.shown == self.step {
+                    true => t.dent.measure(&self.organs[0].surface.mesh.vertices),
+                    false => [f64::NAN; 2],
+                };
                 let Some(c) = self.engine.contacts().get(t.collider) else {
-                    return Contact::default();
+                    return Contact {
+                        dent_mean_mm,
+                        dent_most_mm,
+                        ..Contact::default()
+                    };
                 };
                 // From the collider's origin to the front's middle.
                 let arm = t.now.apply(t.inner) - t.now.position;
@@ -373,6 +387,8 @@ impl Session {
                     pressure_kpa: c.pressure_kpa,
                     contacts: u32::try_from(c.contacts).unwrap_or(u32::MAX),
                     depth_mm: c.depth_mm.into(),
+                    dent_mean_mm,
+                    dent_most_mm,
                 }
             })
             .collect();

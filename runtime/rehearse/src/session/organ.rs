@@ -174,6 +174,14 @@ impl Organ {
         std::iter::once(&mut self.surface).chain(&mut self.structures)
     }
 
+    /// Points of the world in the package's own frame.
+    pub(super) fn to_local(&self, points: &[[f32; 3]]) -> Vec<[f32; 3]> {
+        points
+            .iter()
+            .map(|&p| (Vec3::from(p) - self.shift).to_array())
+            .collect()
+    }
+
     /// Takes the embedding to the package's own frame.
     pub(super) fn local_embedding(&mut self) {
         for (out, &p) in self.embedding_local.iter_mut().zip(&self.embedding.points) {

@@ -1,5 +1,6 @@
 //! From a scene and its packages to a session.
 
+use super::dent::Dent;
 use super::engine::{Device, Engine, GpuEngine};
 use super::imaging::Imaging;
 use super::organ::Organ;
@@ -221,6 +222,7 @@ fn tools(
             inner,
             now: start,
             mesh: form.mesh(),
+            dent: Dent::new(&form, start, &target),
         });
         colliders.push(collider);
     }

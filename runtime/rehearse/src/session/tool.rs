@@ -98,7 +98,7 @@ impl Form {
     }
 
     /// How far the body reaches along z over (x, y); none beside it.
-    fn front(&self, x: f64, y: f64) -> Option<f64> {
+    pub(super) fn front(&self, x: f64, y: f64) -> Option<f64> {
         match self {
             Self::Cuboid(s) => (x.abs() <= 0.5 * s.x && y.abs() <= 0.5 * s.y).then_some(0.0),
             Self::Sphere(r) | Self::Capsule(r, _) => {
