@@ -46,6 +46,25 @@ insertion_mm_s = -8
 name = 'after'
 seconds = 1.0
 
+[[instrument]]
+name = 'probe'
+shape = 'cuboid'
+size_mm = [12, 3, 5]
+[instrument.pose]
+above = 'left'
+over = ['tumour']
+lateral = 'anterior'
+gap_mm = 1.0
+
+[image]
+[image.probe]
+depth_mm = 14
+[image.probe.shape.linear]
+width_mm = 12
+[image.settings]
+width_px = 96
+height_px = 96
+
 [view]
 width_px = 640
 height_px = 360
@@ -149,6 +168,31 @@ fn a_needle_dimples_enters_and_leaves_and_the_organ_recovers() {
         assert!(page.contains(part), "{part}");
     }
     assert!(d.entries("out/vtu").iter().any(|g| g == "instrument-needle.pvd"));
+    // A white line in the image while it is in.
+    let white = |step: u32| {
+        let file = std::fs::File::open(d.path(&format!("out/images/image-{step:05}.png"))).unwrap();
+        let mut reader = png::Decoder::new(std::io::BufReader::new(file))
+            .read_info()
+            .unwrap();
+        let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
+        let info = reader.next_frame(&mut pixels).unwrap();
+        let wide = info.color_type.samples();
+        pixels.chunks(wide).filter(|p| p[0] == 255).count()
+    };
+    let steps = all.len() as u32;
+    let inside = (1..=steps)
+        .filter(|s| d.path(&format!("out/images/image-{s:05}.png")).exists())
+        .max_by(|a, b| {
+            let deep = |s: &u32| all[*s as usize - 1].number("inside_mm");
+            deep(a).total_cmp(&deep(b))
+        })
+        .unwrap();
+    assert!(
+        white(inside) >= 5 && white(steps) == 0,
+        "{} {}",
+        white(inside),
+        white(steps)
+    );
     // The same on other threads, and repeated.
     d.ok("run n.toml --package k.palpate -o more --threads 3 -q");
     assert!(d.read("out/recording.json") == d.read("more/recording.json"));

@@ -134,13 +134,23 @@ fn view(scene: &SceneGeometry, camera: &Camera, organ_opacity: f32, out: &mut Pi
         ground: GROUND,
         ..View3d::default()
     };
-    shown.opaque.extend(
-        scene
-            .structures
-            .iter()
-            .enumerate()
-            .map(|(i, m)| item(m, Material::plain(STRUCTURES[i % STRUCTURES.len()]))),
-    );
+    // A needle shows in what it is pushed into.
+    let pierced = !scene.needles.is_empty();
+    let structures = scene.structures.iter().enumerate().map(|(i, m)| {
+        let colour = STRUCTURES[i % STRUCTURES.len()];
+        let opacity = if pierced { 0.4 } else { 1.0 };
+        item(
+            m,
+            Material {
+                opacity,
+                ..Material::plain(colour)
+            },
+        )
+    });
+    match pierced {
+        true => shown.veils.extend(structures),
+        false => shown.opaque.extend(structures),
+    }
     shown.opaque.push(item(&beads, Material::plain(FIDUCIAL)));
     shown
         .opaque

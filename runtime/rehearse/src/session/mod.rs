@@ -312,6 +312,9 @@ impl Session {
                 return Ok(0.0);
             }
             _ => {
+                if let Engine::Tissue(t) = &self.engine {
+                    imaging.scanner.set_needles(&t.echoes())?;
+                }
                 let pose = imaging.pose(&self.tools, self.origin)?;
                 imaging.scan(&self.organs, &pose)?;
             }

@@ -347,6 +347,17 @@ impl TissueEngine {
             .collect()
     }
 
+    /// Shafts as the ultrasound image takes them, patient mm.
+    pub(super) fn echoes(&self) -> Vec<palpate_ultrasound::Needle> {
+        self.shafts()
+            .into_iter()
+            .map(|(points, radius_mm)| palpate_ultrasound::Needle {
+                points_mm: points.iter().map(|p| (*p + self.origin).to_array()).collect(),
+                radius_mm,
+            })
+            .collect()
+    }
+
     /// Surfaces of the shafts, no thinner than `least_mm` in radius.
     pub(super) fn shaft_meshes(&self, least_mm: f32) -> Vec<(String, Mesh)> {
         self.shafts()
