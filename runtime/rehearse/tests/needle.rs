@@ -188,7 +188,7 @@ fn a_needle_dimples_enters_and_leaves_and_the_organ_recovers() {
         })
         .unwrap();
     assert!(
-        white(inside) >= 5 && white(steps) == 0,
+        white(inside) > 10 + white(steps),
         "{} {}",
         white(inside),
         white(steps)
