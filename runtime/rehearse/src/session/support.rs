@@ -36,7 +36,14 @@ pub(super) fn supports(
     };
     match scene.support.as_str() {
         "none" => {}
-        "plane" => out.plane(&lead.surface.mesh.vertices, down),
+        "plane" => {
+            // Under all organs: none starts below it.
+            let all: Vec<[f32; 3]> = organs
+                .iter()
+                .flat_map(|o| o.surface.mesh.vertices.iter().copied())
+                .collect();
+            out.plane(&all, down);
+        }
         "cradle" => out.mesh("cradle", bed(scene, organs, bodies, contact_mm, down)?),
         name => {
             let bodies: Vec<&Surface> = loaded
