@@ -22,6 +22,8 @@ pub(super) struct Solved {
     pub states: Vec<FrictionState>,
     /// Slip of each needle's tip, mm.
     pub slip: Vec<f64>,
+    /// Largest slip of any of its shared nodes, mm.
+    most_slip: Vec<f64>,
     /// Force of the tissue on each needle, µN.
     force: Vec<DVec3>,
     /// Cutting force at each tip, µN.
@@ -182,8 +184,8 @@ impl Insertion {
         let slips = self
             .needles
             .iter()
-            .zip(&solved.slip)
-            .any(|(n, s)| s.abs() > self.most_slip_mm(n));
+            .zip(&solved.most_slip)
+            .any(|(n, s)| *s > self.most_slip_mm(n));
         turns || slips || self.tissue.strain_change(&solved.a) > self.tissue.settings().halving_strain
     }
 
@@ -281,6 +283,7 @@ impl Insertion {
             let nodes: Vec<u32> = coupled.nodes.iter().map(|n| n.tissue).collect();
             let mut solved = Solved {
                 slip: vec![0.0; strands.len()],
+                most_slip: vec![0.0; strands.len()],
                 force: vec![DVec3::ZERO; strands.len()],
                 cutting: vec![0.0; strands.len()],
                 a: Vec::new(),
@@ -290,6 +293,8 @@ impl Insertion {
             for (k, n) in coupled.nodes.iter().enumerate() {
                 // The last node of a strand is its tip.
                 solved.slip[n.strand] = coupled.slip_mm(k);
+                let most = &mut solved.most_slip[n.strand];
+                *most = most.max(coupled.slip_mm(k).abs());
                 solved.force[n.strand] += forces[k];
                 solved.cutting[n.strand] = limits[k].cutting_un;
             }

@@ -305,6 +305,15 @@ impl Insertion {
         // A needle that has just touched brings its own last node.
         let outside = outside.min(n.rod.position().len() - 1);
         let mut position = n.rod.position()[..outside].to_vec();
+        // A surface that springs back may have run over free nodes.
+        let entry = x[n.chain[0] as usize];
+        while let [.., before, last] = position[..] {
+            let near = 0.2 * n.limits.min_mm;
+            if position.len() <= 2 || (entry - last).dot((last - before).normalize_or_zero()) > near {
+                break;
+            }
+            position.pop();
+        }
         position.extend(n.chain.iter().map(|&t| x[t as usize]));
         n.rod.reparametrize(position)
     }

@@ -1,0 +1,447 @@
+//! Needles that go into gel and out again.
+
+use glam::DVec3;
+use palpate_fem::{Material, Settings, Simulation, TissueMesh};
+use palpate_needle::{
+    BaseMotion, Event, Insertion, InsertionParams, InsertionReport, Membrane, NeedleError, NeedleFriction,
+    NeedleParams, Rod,
+};
+
+const EDGE: f64 = 5.0;
+
+/// A box of cubes of 5 mm, each cut into five tets; held at its bottom and its far end. Regions by the middle of each cube.
+fn gel(
+    cells: [usize; 3],
+    youngs_modulus_pa: f64,
+    threads: usize,
+    region: &dyn Fn(DVec3) -> u16,
+) -> Simulation {
+    let [nx, ny, nz] = cells;
+    let at = |c: [usize; 3]| ((c[2] * (ny + 1) + c[1]) * (nx + 1) + c[0]) as u32;
+    let mut points = Vec::new();
+    for k in 0..=nz {
+        for j in 0..=ny {
+            points.extend((0..=nx).map(|i| [i, j, k].map(|c| EDGE * c as f64)));
+        }
+    }
+    let (mut tets, mut regions) = (Vec::new(), Vec::new());
+    for cube in 0..nx * ny * nz {
+        let corner = [cube % nx, cube / nx % ny, cube / nx / ny];
+        let middle = DVec3::from_array(corner.map(|c| EDGE * (c as f64 + 0.5)));
+        // Five tets: one in the middle and one at each of four corners; neighbours mirror each other, so that no direction is favoured.
+        let odd = corner.iter().sum::<usize>() % 2;
+        let node = |bits: [usize; 3]| at([0, 1, 2].map(|k| corner[k] + bits[k]));
+        let flip = |mut bits: [usize; 3]| {
+            bits[0] ^= odd;
+            node(bits)
+        };
+        let inner = [[0, 0, 0], [1, 1, 0], [1, 0, 1], [0, 1, 1]];
+        let mut five = vec![inner.map(flip)];
+        for outer in [[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]] {
+            let near = inner
+                .into_iter()
+                .filter(|i| (0..3).filter(|&k| i[k] != outer[k]).count() == 1);
+            let mut tet = [flip(outer); 4];
+            near.enumerate().for_each(|(k, i)| tet[k + 1] = flip(i));
+            five.push(tet);
+        }
+        for mut tet in five {
+            let p = tet.map(|n| DVec3::from_array(points[n as usize]));
+            if (p[1] - p[0]).dot((p[2] - p[0]).cross(p[3] - p[0])) < 0.0 {
+                tet.swap(2, 3);
+            }
+            tets.push(tet);
+            regions.push(region(middle));
+        }
+    }
+    let mesh = TissueMesh::new(&points, &tets, &regions).unwrap();
+    let material = Material {
+        youngs_modulus_pa,
+        poisson_ratio: 0.45,
+        density_g_mm3: 1e-3,
+        damping_s: 0.02,
+        ..Material::default()
+    };
+    let settings = Settings {
+        gravity_mm_s2: [0.0; 3],
+        threads,
+        ..Settings::default()
+    };
+    let far = EDGE * nx as f64 - 1e-9;
+    let held: Vec<u32> = (0..mesh.node_slots() as u32)
+        .filter(|&n| {
+            let u = mesh.rest()[n as usize];
+            u.z < 1e-9 || u.x > far
+        })
+        .collect();
+    let mut tissue = Simulation::new(mesh, vec![material; 3], settings).unwrap();
+    for n in held {
+        tissue.hold(n, [true; 3]).unwrap();
+    }
+    tissue
+}
+
+fn one(_: DVec3) -> u16 {
+    0
+}
+
+/// A needle before the face x = 0, its tip 1 mm away, `out_mm` of it out of the sleeve.
+fn needle(y: f64, z: f64, out_mm: f64) -> Rod {
+    let mouth = DVec3::new(-1.0 - out_mm, y, z);
+    let edges = (out_mm / EDGE).round() as usize;
+    Rod::in_sleeve(
+        NeedleParams::default(),
+        mouth,
+        DVec3::X,
+        DVec3::Y,
+        5.0,
+        out_mm,
+        edges,
+    )
+    .unwrap()
+}
+
+fn push(speed: f64) -> BaseMotion {
+    BaseMotion {
+        insertion_mm_per_s: speed,
+        ..BaseMotion::default()
+    }
+}
+
+fn run(s: &mut Insertion, steps: usize, motion: BaseMotion) -> Vec<InsertionReport> {
+    (0..steps).map(|_| s.step(&[motion]).unwrap()).collect()
+}
+
+/// Drawn out slowly, a straight needle resists with its friction per length and the viscous part times the length in the tissue;
+/// afterwards the mesh is as it was.
+#[test]
+fn pull_out_force_is_friction_times_length() {
+    let tissue = gel([10, 6, 6], 25_000.0, 0, &one);
+    let mesh: Vec<_> = tissue.mesh().tets().map(|t| t.1).collect();
+    let mut s = Insertion::new(tissue, InsertionParams::default()).unwrap();
+    let friction = NeedleFriction {
+        viscous_un_s_per_mm2: 500.0,
+        ..NeedleFriction::default()
+    };
+    s.add_needle(needle(15.7, 16.1, 20.0), friction).unwrap();
+    let inwards = run(&mut s, 250, push(8.0));
+    let depth = inwards[249].needles[0].contact_mm;
+    assert!(depth > 30.0, "{depth}");
+    let speed = 6.0;
+    let mut compared = 0;
+    let (mut steps, mut settled) = (0, 0);
+    for _ in 0..330 {
+        let r = s.step(&[push(-speed)]).unwrap();
+        let n = &r.needles[0];
+        steps += 1;
+        settled += usize::from(r.consistent && r.trials <= 10);
+        if n.states[2] > 0 && n.states[0] + n.states[1] == 0 && n.contact_mm < 28.0 && n.contact_mm > 8.0 {
+            // The report's length is that after the step; the force acted on the length before it.
+            let length = n.contact_mm + 0.5 * speed * 0.02;
+            let expected = -length * (3e4 + 500.0 * speed);
+            assert!(
+                (n.base_axial_un / expected - 1.0).abs() < 0.03,
+                "{} {expected} at {}",
+                n.base_axial_un,
+                n.contact_mm
+            );
+            compared += 1;
+        }
+    }
+    assert!(compared > 100, "{compared}");
+    assert!(settled * 100 > steps * 99, "{settled} of {steps}");
+    assert!(s.needles()[0].chain().is_empty());
+    let after: Vec<_> = s.tissue().mesh().tets().map(|t| t.1).collect();
+    let [mesh, after] = [mesh, after].map(|tets| {
+        let mut t: Vec<_> = tets
+            .iter()
+            .map(|t| {
+                let mut c = t.corners;
+                c.sort_unstable();
+                c
+            })
+            .collect();
+        t.sort_unstable();
+        t
+    });
+    assert_eq!(mesh, after);
+    // The tissue is at rest again.
+    let last = run(&mut s, 200, BaseMotion::default());
+    let left = last[199].needles[0].base_force_un;
+    assert!(left.length() < 100.0, "{left}");
+    let (x, mesh) = (s.tissue().positions(), s.tissue().mesh());
+    let nodes = (0..mesh.node_slots()).filter(|&n| mesh.has_node(n as u32));
+    let most = nodes.map(|n| x[n].distance(mesh.rest()[n])).fold(0.0, f64::max);
+    assert!(most < 1e-3, "{most}");
+}
+
+/// The surface gives way when the tip presses harder than its membrane holds, and the dimple goes back.
+#[test]
+fn a_membrane_dimples_until_it_gives_way() {
+    for force in [4e5, 8e5] {
+        let mut s = Insertion::new(gel([8, 6, 6], 25_000.0, 0, &one), InsertionParams::default()).unwrap();
+        let friction = NeedleFriction {
+            membranes: vec![Membrane {
+                name: "capsule".into(),
+                region: Some(0),
+                outside: None,
+                from_mm: 0.0,
+                thickness_mm: 0.5,
+                cutting_un: force,
+            }],
+            ..NeedleFriction::default()
+        };
+        s.add_needle(needle(15.7, 16.1, 20.0), friction).unwrap();
+        let (mut dimple, mut most, mut relaxed) = (0.0f64, 0.0f64, f64::INFINITY);
+        let mut events = Vec::new();
+        for _ in 0..150 {
+            let r = s.step(&[push(8.0)]).unwrap();
+            let n = &r.needles[0];
+            if s.needles()[0].chain().len() == 1 {
+                dimple = dimple.max(n.tip.x);
+                most = most.max(n.base_axial_un);
+            }
+            if let [entry, _, ..] = s.needles()[0].chain() {
+                relaxed = relaxed.min(s.tissue().positions()[*entry as usize].x);
+            }
+            events.extend(n.events.clone());
+        }
+        let kinds = [
+            Event::Contact,
+            Event::Puncture,
+            Event::Membrane {
+                name: "capsule".into(),
+            },
+        ];
+        assert_eq!(events, kinds);
+        assert!((most / force - 1.0).abs() < 0.05, "{most} {force}");
+        // Of the order of the force over a tet's stiffness.
+        let soft = force / (25_000.0 * EDGE);
+        assert!(dimple > 0.5 * soft && dimple < 4.0 * soft, "{dimple} {soft}");
+        assert!(relaxed < 0.7 * dimple, "{relaxed} {dimple}");
+    }
+}
+
+/// Centre and radius of the circle through three points of a path.
+fn radius(path: &[DVec3]) -> (f64, DVec3) {
+    let (a, b, c) = (path[0], path[path.len() / 2], path[path.len() - 1]);
+    let (u, v) = (b - a, c - a);
+    let normal = u.cross(v);
+    let towards = (normal.cross(u) * v.length_squared() + v.cross(normal) * u.length_squared())
+        / (2.0 * normal.length_squared());
+    (towards.length(), towards.normalize())
+}
+
+/// Path of a bevel tip in stiff gel, in the material, after `turn` of the base.
+fn bevel_path(speed: f64, turn: f64) -> Vec<DVec3> {
+    let mut tissue = gel([18, 8, 8], 200_000.0, 0, &one);
+    // In a box, alike to all sides.
+    for n in 0..tissue.mesh().node_slots() as u32 {
+        let u = tissue.mesh().rest()[n as usize];
+        if u.y.min(u.z) < 1e-9 || u.y.max(u.z) > 8.0 * EDGE - 1e-9 {
+            tissue.hold(n, [true; 3]).unwrap();
+        }
+    }
+    let mut s = Insertion::new(tissue, InsertionParams::default()).unwrap();
+    let friction = NeedleFriction {
+        bevel_degrees: 3.0,
+        ..NeedleFriction::default()
+    };
+    let mouth = DVec3::new(-11.0, 20.2, 20.3);
+    let mut rod = Rod::in_sleeve(NeedleParams::default(), mouth, DVec3::X, DVec3::Y, 5.0, 10.0, 4).unwrap();
+    rod.turn_ends(turn, 0.0).unwrap();
+    s.add_needle(rod, friction).unwrap();
+    let mut path = Vec::new();
+    for _ in 0..(85.0 / speed / 0.02) as usize {
+        let r = s.step(&[push(speed)]).unwrap();
+        path.extend(r.needles[0].tip_material);
+    }
+    path
+}
+
+#[test]
+fn a_bevel_steers_along_a_circle_whatever_the_speed() {
+    let slow = bevel_path(10.0, 0.0);
+    let fast = bevel_path(20.0, 0.0);
+    let flipped = bevel_path(20.0, std::f64::consts::PI);
+    let part = |p: &[DVec3], lo: f64, hi: f64| -> Vec<DVec3> {
+        p.iter().copied().filter(|u| u.x > lo && u.x < hi).collect()
+    };
+    let (r_slow, to_slow) = radius(&part(&slow, 20.0, 70.0));
+    let (r_fast, to_fast) = radius(&part(&fast, 20.0, 70.0));
+    let (r_flip, to_flip) = radius(&part(&flipped, 20.0, 70.0));
+    println!(
+        "{r_slow} {r_fast} {r_flip} {to_slow} {to_fast} {to_flip} end {:?}",
+        fast.last()
+    );
+    assert!((r_slow / r_fast - 1.0).abs() < 0.1, "{r_slow} {r_fast}");
+    assert!((r_flip / r_fast - 1.0).abs() < 0.1, "{r_flip} {r_fast}");
+    assert!(to_flip.dot(to_fast) < -0.9, "{to_flip} {to_fast}");
+    // A circle: both halves of it have that radius.
+    for (lo, hi) in [(20.0, 45.0), (45.0, 70.0)] {
+        let (r, _) = radius(&part(&fast, lo, hi));
+        assert!((r / r_fast - 1.0).abs() < 0.15, "{r} {r_fast}");
+    }
+}
+
+/// In and out with a swaying base: nothing blows up, no tet stays inverted, and at the end no energy is left.
+#[test]
+fn energy_is_bounded_and_comes_back() {
+    let mut s = Insertion::new(gel([8, 6, 6], 25_000.0, 0, &one), InsertionParams::default()).unwrap();
+    s.add_needle(needle(15.7, 16.1, 20.0), NeedleFriction::default())
+        .unwrap();
+    let mut most = 0.0f64;
+    let mut settled = 0;
+    let mut step = 0;
+    for round in 0..3 {
+        for k in 0..200 {
+            let sign = if step % 40 < 20 { 1.0 } else { -1.0 };
+            let motion = BaseMotion {
+                insertion_mm_per_s: if k < 100 { 15.0 } else { -15.0 },
+                velocity_mm_per_s: [0.0, 12.0 * sign, 6.0 * sign],
+                rotation_rad_per_s: 2.0,
+                ..BaseMotion::default()
+            };
+            let r = s.step(&[motion]).unwrap();
+            settled += usize::from(r.consistent && r.trials <= 10);
+            step += 1;
+            let energy = s.tissue().strain_energy_nj() + s.tissue().kinetic_energy_nj();
+            most = most.max(energy);
+            assert!(energy.is_finite() && energy < 2e7, "{round} {k} {energy}");
+        }
+    }
+    println!("most energy {most} nJ, {settled} of {step}");
+    assert!(settled * 100 >= step * 99, "{settled} of {step}");
+    assert!(s.tissue().volume_ratios().iter().all(|v| v.1 > 0.0));
+    run(&mut s, 200, BaseMotion::default());
+    let left = s.tissue().strain_energy_nj() + s.tissue().kinetic_energy_nj();
+    assert!(left < 1e-6 * most, "{left} of {most}");
+}
+
+#[test]
+fn the_same_bits_on_any_number_of_threads() {
+    let state = |threads: usize| {
+        let tissue = gel([8, 6, 6], 25_000.0, threads, &one);
+        let mut s = Insertion::new(tissue, InsertionParams::default()).unwrap();
+        let friction = NeedleFriction {
+            bevel_degrees: 10.0,
+            ..NeedleFriction::default()
+        };
+        s.add_needle(needle(15.7, 16.1, 20.0), friction).unwrap();
+        run(&mut s, 80, push(12.0));
+        run(&mut s, 20, push(-12.0));
+        let rod = s.needles()[0].rod().position().to_vec();
+        (
+            s.tissue().positions().to_vec(),
+            s.tissue().velocities().to_vec(),
+            rod,
+        )
+    };
+    let first = state(1);
+    for threads in [2, 3] {
+        assert!(state(threads) == first, "{threads} threads");
+    }
+}
+
+/// Without a needle the tissue moves as it does alone.
+#[test]
+fn tissue_without_needles_is_tissue() {
+    let build = || {
+        let mut t = gel([5, 4, 4], 25_000.0, 0, &one);
+        for n in 0..t.mesh().node_slots() as u32 {
+            t.set_load(n, DVec3::new(0.0, 200.0, 100.0)).unwrap();
+        }
+        t
+    };
+    let mut alone = build();
+    let mut s = Insertion::new(build(), InsertionParams::default()).unwrap();
+    for _ in 0..50 {
+        alone.step().unwrap();
+        s.step(&[]).unwrap();
+    }
+    let pairs = alone.positions().iter().zip(s.tissue().positions());
+    let apart = pairs.map(|(a, b)| a.distance(*b)).fold(0.0, f64::max);
+    let moved = alone.positions().iter().zip(alone.mesh().rest());
+    let most = moved.map(|(x, u)| x.distance(*u)).fold(0.0, f64::max);
+    assert!(apart < 1e-4 * most && most > 0.05, "{apart} {most}");
+}
+
+/// Two needles in one block do not disturb each other's bookkeeping, and leave in any order where they share no tet.
+#[test]
+fn two_needles_at_once() {
+    let mut s = Insertion::new(gel([8, 10, 6], 25_000.0, 0, &one), InsertionParams::default()).unwrap();
+    s.add_needle(needle(12.2, 16.1, 20.0), NeedleFriction::default())
+        .unwrap();
+    s.add_needle(needle(38.4, 14.3, 20.0), NeedleFriction::default())
+        .unwrap();
+    let step = |s: &mut Insertion, a: f64, b: f64, n: usize| {
+        for _ in 0..n {
+            s.step(&[push(a), push(b)]).unwrap();
+        }
+    };
+    let tets = s.tissue().mesh().tets().count();
+    step(&mut s, 10.0, 8.0, 120);
+    let depth: Vec<f64> = s.needles().iter().map(|n| n.chain().len() as f64).collect();
+    assert!(depth.iter().all(|d| *d > 3.0), "{depth:?}");
+    step(&mut s, -10.0, 2.0, 118);
+    assert!(s.needles()[0].chain().is_empty() && !s.needles()[1].chain().is_empty());
+    step(&mut s, 0.0, -12.0, 98);
+    assert!(s.needles()[1].chain().is_empty());
+    assert_eq!(s.tissue().mesh().tets().count(), tets);
+}
+
+#[test]
+fn refusals_say_what_is_wrong() {
+    let mut s = Insertion::new(gel([5, 6, 6], 25_000.0, 0, &one), InsertionParams::default()).unwrap();
+    let inside = Rod::in_sleeve(
+        NeedleParams::default(),
+        DVec3::new(-6.0, 15.0, 15.0),
+        DVec3::X,
+        DVec3::Y,
+        5.0,
+        10.0,
+        2,
+    )
+    .unwrap();
+    let refused = s.add_needle(inside, NeedleFriction::default());
+    assert!(
+        matches!(refused, Err(NeedleError::StartsInside { node: 3, .. })),
+        "{refused:?}"
+    );
+    assert!(matches!(s.step(&[push(1.0)]), Err(NeedleError::Count { .. })));
+    let bad = NeedleFriction {
+        friction_un_per_mm: -1.0,
+        ..NeedleFriction::default()
+    };
+    assert!(s.add_needle(needle(15.7, 16.1, 20.0), bad).is_err());
+
+    // Obliquely through a corner: out at the side that is not held.
+    let along = DVec3::new(1.0, 0.6, 0.0).normalize();
+    let from = DVec3::new(5.0, 26.0, 16.1) - along * 30.0;
+    let rod = Rod::in_sleeve(NeedleParams::default(), from, along, DVec3::Z, 5.0, 20.0, 4).unwrap();
+    s.add_needle(rod, NeedleFriction::default()).unwrap();
+    let end = (0..400).find_map(|_| s.step(&[push(10.0)]).err());
+    assert!(
+        matches!(end, Some(NeedleError::LeavesTissue { needle: 0, .. })),
+        "{end:?}"
+    );
+    // The state is whole: the needle can be drawn back.
+    let out = (0..400).find(|_| {
+        s.step(&[push(-10.0)]).unwrap();
+        s.needles()[0].chain().is_empty()
+    });
+    assert!(out.is_some());
+
+    let bone = |u: DVec3| if u.x > 15.0 { 1 } else { 0 };
+    let mut s = Insertion::new(gel([6, 6, 6], 25_000.0, 0, &bone), InsertionParams::default()).unwrap();
+    let friction = NeedleFriction {
+        rigid_regions: vec![1],
+        ..NeedleFriction::default()
+    };
+    s.add_needle(needle(15.7, 16.1, 20.0), friction).unwrap();
+    let end = (0..400).find_map(|_| s.step(&[push(10.0)]).err());
+    assert!(
+        matches!(end, Some(NeedleError::HitsRigid { region: 1, .. })),
+        "{end:?}"
+    );
+}
