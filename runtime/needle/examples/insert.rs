@@ -6,7 +6,7 @@
 //! SETUP.toml has the fields of `Setup`, all with defaults.
 
 use glam::DVec3;
-use palpate_fem::{Material, Settings, Simulation, TissueMesh, TissueTable};
+use palpate_fem::{Law, Material, Settings, Simulation, TissueMesh, TissueTable};
 use palpate_needle::{
     BaseMotion, Event, Insertion, InsertionParams, InsertionReport, Membrane, NeedleFriction, NeedleParams,
     Rod,
@@ -34,6 +34,8 @@ struct Setup {
     cells: usize,
     /// A line every so many steps; 0 for none.
     every: u32,
+    /// Law of all materials in place of their own.
+    law: Option<Law>,
     /// Whole insertions one after the other.
     rounds: u32,
 }
@@ -65,6 +67,7 @@ impl Default for Setup {
             sway_mm_s: 0.0,
             cells: 13,
             every: 10,
+            law: None,
             rounds: 1,
         }
     }
@@ -104,7 +107,8 @@ fn gel_block(setup: &Setup) -> Result<(Simulation, DVec3, DVec3), Box<dyn Error>
         }
     }
     let mesh = TissueMesh::new(&points, &tets, &vec![0; tets.len()])?;
-    let material = TissueTable::default().get("gel")?.material.clone();
+    let mut material = TissueTable::default().get("gel")?.material.clone();
+    material.law = setup.law.unwrap_or(material.law);
     let side = 5.0 * cells as f64;
     let fixed: Vec<u32> = (0..mesh.node_slots() as u32)
         .filter(|&n| {
@@ -124,8 +128,10 @@ fn gel_block(setup: &Setup) -> Result<(Simulation, DVec3, DVec3), Box<dyn Error>
 fn organ(path: &str, setup: &Setup) -> Result<(Simulation, DVec3, DVec3), Box<dyn Error>> {
     let package = ModelPackage::read(path)?;
     let mesh = TissueMesh::from_package(&package)?;
-    let (materials, _) = TissueTable::default().materials(&package.info.regions)?;
-    let materials: Vec<Material> = materials;
+    let (mut materials, _): (Vec<Material>, _) = TissueTable::default().materials(&package.info.regions)?;
+    for m in &mut materials {
+        m.law = setup.law.unwrap_or(m.law);
+    }
     let (mut lo, mut hi) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
     for p in mesh.rest() {
         (lo, hi) = (lo.min(*p), hi.max(*p));

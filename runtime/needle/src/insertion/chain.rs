@@ -39,7 +39,7 @@ impl Insertion {
         for k in self.membranes_at(needle, node, &regions) {
             most = most.max(needle.friction.membranes[k].cutting_un);
         }
-        most
+        most * self.strength(needle, node)
     }
 
     fn regions_at(&self, node: u32) -> Vec<u16> {
@@ -106,9 +106,7 @@ impl Insertion {
         if n.track.is_none() {
             return Ok(Goal::Stay);
         }
-        let last = n.chain[n.chain.len() - 1];
-        let hint = self.tissue.mesh().around(last).first().map_or(0, |e| e.tet);
-        let place = locate(&self.tissue, tip, hint);
+        let place = self.tip_place(n.chain[n.chain.len() - 1], tip, slip);
         match state {
             FrictionState::Forward if slip > LEAST_SLIP_MM => {
                 let Some((slot, weights)) = place else {
@@ -150,6 +148,96 @@ impl Insertion {
                 }
             }
             _ => Ok(Goal::Stay),
+        }
+    }
+
+    /// Tet of the deformed tissue that a tip has slid to from its node, and its weights there. A dent so deep that tets overlap has more
+    /// than one answer: the one next to the node counts.
+    fn tip_place(&self, node: u32, tip: DVec3, slip: f64) -> Option<(u32, [f64; 4])> {
+        let mesh = self.tissue.mesh();
+        let x = self.tissue.positions();
+        let mut best: Option<(f64, u32, [f64; 4])> = None;
+        for e in mesh.around(node) {
+            let Some(tet) = mesh.tet(e.tet) else { continue };
+            let c = tet.corners.map(|n| x[n as usize]);
+            let edges = DMat3::from_cols(c[1] - c[0], c[2] - c[0], c[3] - c[0]);
+            if edges.determinant() <= 0.0 {
+                continue;
+            }
+            let w = edges.inverse() * (tip - c[0]);
+            let weights = [1.0 - w.x - w.y - w.z, w.x, w.y, w.z];
+            let least = weights.into_iter().fold(f64::INFINITY, f64::min);
+            if least.is_finite() && best.is_none_or(|b| least > b.0) {
+                best = Some((least, e.tet, weights));
+            }
+        }
+        if let Some((least, slot, weights)) = best
+            && least >= -1e-9
+        {
+            return Some((slot, weights));
+        }
+        let hint = best.map_or(0, |b| b.1);
+        let (slot, weights) = locate(&self.tissue, tip, hint)?;
+        let tet = mesh.tet(slot)?;
+        let rest = |tet: Tet, w: [f64; 4]| -> DVec3 {
+            tet.corners
+                .into_iter()
+                .zip(w)
+                .map(|(n, w)| mesh.rest()[n as usize] * w)
+                .sum()
+        };
+        let moved = rest(tet, weights).distance(mesh.rest()[node as usize]);
+        if moved <= slip.abs() + 2.0 * self.size_at(node) {
+            return Some((slot, weights));
+        }
+        self.inwards(node, slip.abs())
+    }
+
+    /// Place in the material so far from a node, towards the middle of its tets: on where a dent has turned over what is ahead of the tip.
+    fn inwards(&self, node: u32, by_mm: f64) -> Option<(u32, [f64; 4])> {
+        let mesh = self.tissue.mesh();
+        let from = mesh.rest()[node as usize];
+        let middle = |t: Tet| t.corners.map(|n| mesh.rest()[n as usize]).iter().sum::<DVec3>() * 0.25;
+        let tets: Vec<(u32, Tet)> = mesh
+            .around(node)
+            .iter()
+            .filter_map(|e| Some((e.tet, mesh.tet(e.tet)?)))
+            .collect();
+        let centre = tets.iter().map(|t| middle(t.1)).sum::<DVec3>() / tets.len().max(1) as f64;
+        // The tet whose middle lies most that way, and a point in it.
+        let along = (centre - from).normalize_or_zero();
+        let ahead = |t: Tet| (middle(t) - from).normalize_or_zero().dot(along);
+        let (slot, tet) = tets
+            .into_iter()
+            .max_by(|a, b| ahead(a.1).total_cmp(&ahead(b.1)))?;
+        let share = (by_mm / middle(tet).distance(from)).clamp(0.01, 0.5);
+        let weights = tet.corners.map(|n| {
+            if n == node {
+                1.0 - 0.75 * share
+            } else {
+                0.25 * share
+            }
+        });
+        Some((slot, weights))
+    }
+
+    /// What is left of the tissue's strength at the tip, 1 to 0, by how far the edges around its node are stretched.
+    fn strength(&self, needle: &Needle, node: u32) -> f64 {
+        let (mesh, x) = (self.tissue.mesh(), self.tissue.positions());
+        let (mut now, mut rest) = (0.0, 0.0);
+        for t in mesh.around(node).iter().filter_map(|e| mesh.tet(e.tet)) {
+            // The needle's own edges are as long as remeshing wants them.
+            for c in t.corners.into_iter().filter(|c| !needle.chain.contains(c)) {
+                now += x[c as usize].distance_squared(x[node as usize]);
+                rest += mesh.rest()[c as usize].distance_squared(mesh.rest()[node as usize]);
+            }
+        }
+        let [from, to] = self.params.tear_stretch;
+        let stretch = (now / rest).sqrt();
+        if stretch.is_finite() {
+            ((to - stretch) / (to - from)).clamp(0.0, 1.0)
+        } else {
+            1.0
         }
     }
 

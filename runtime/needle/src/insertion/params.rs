@@ -31,7 +31,8 @@ pub struct Membrane {
     pub from_mm: f64,
     /// Thickness, mm. The paper's: 0.5 for the capsule of the prostate, 1 for skin.
     pub thickness_mm: f64,
-    /// Cutting force in it, µN, in place of the region's.
+    /// Cutting force in it, µN, in place of the region's. Soft tissue tears before
+    /// ([`InsertionParams::tear_stretch`]).
     pub cutting_un: f64,
 }
 
@@ -150,6 +151,10 @@ pub struct InsertionParams {
     pub most_halvings: u32,
     /// Lengths of the edges outside the tissue; `None` by the edges with which a needle starts.
     pub edge_limits: Option<EdgeLimits>,
+    /// Root mean square stretch of the tets' edges at a tip at which tissue begins to tear by itself, and at which nothing of the cutting force
+    /// is left. Default 1.6 and 2: beyond that soft tissue is torn, and a dent in a mesh turns over. It bounds the force of a membrane on
+    /// tissue too soft to bear it.
+    pub tear_stretch: [f64; 2],
     /// How the tissue's mesh follows the tips.
     pub track: TrackParams,
 }
@@ -164,6 +169,7 @@ impl Default for InsertionParams {
             most_turn_rad: 0.05,
             most_halvings: 4,
             edge_limits: None,
+            tear_stretch: [1.6, 2.0],
             track: TrackParams::default(),
         }
     }
@@ -188,6 +194,13 @@ impl InsertionParams {
             "most_slip",
             self.most_slip,
             "above 0 and at most 1",
+        )?;
+        let [from, to] = self.tear_stretch;
+        check(
+            from > 1.0 && to > from && to.is_finite(),
+            "tear_stretch",
+            from,
+            "two stretches above 1, the second above the first",
         )?;
         check(
             self.most_turn_rad > 0.0 && self.most_turn_rad <= 1.0,
