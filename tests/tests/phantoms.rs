@@ -2,6 +2,7 @@
 
 use build_model::args::BuildArgs;
 use build_model::{Built, Recipe};
+use palpate_fixtures::blocks;
 use palpate_fixtures::phantoms::{self, Phantom, TumourPlace};
 use palpate_surface::surface_distance;
 use palpate_tests::{build_phantom, phantom_recipe};
@@ -343,4 +344,46 @@ fn threads_do_not_change_a_byte() {
     let one = bytes(1);
     assert!(one == bytes(2), "two threads give another package");
     assert!(one == bytes(5), "five threads give another package");
+}
+
+/// The bodies that needles are pushed through, built by the recipes bundled with them: those parts that are held or pierced have
+/// tets of their own.
+#[test]
+fn bodies_for_needles() {
+    let files = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/files");
+    for (name, p, own) in [
+        (
+            "pelvis",
+            blocks::pelvis([1.0; 3]),
+            &["body", "prostate", "bladder", "bone"][..],
+        ),
+        ("gel", blocks::gel_block([2.0, 2.0, 1.5]), &["gel"]),
+        ("cylinders", blocks::two_cylinders([1.0; 3]), &["gel", "cylinder"]),
+    ] {
+        let recipe = Recipe::read(&files.join(format!("{name}.toml"))).unwrap();
+        let built = build_phantom(&p, &recipe).unwrap_or_else(|e| panic!("{name}: {e:#}"));
+        let off = 100.0 * (built.surfaces[0].1.volume_mm3() / p.body_volume_mm3 - 1.0);
+        assert!(off.abs() < 1.0, "{name}: volume {off:+.2} % off");
+        for region in own {
+            let n = built
+                .package
+                .region(region)
+                .unwrap_or_else(|| panic!("{name}: no {region}"));
+            let r = built
+                .fem_report
+                .regions
+                .iter()
+                .find(|r| r.region == usize::from(n))
+                .unwrap();
+            assert!(r.tets > 200, "{name}: {region} has {} tets", r.tets);
+        }
+        let (tets, aim) = (built.fem.tets.len() as f64, recipe.fem.target_tets as f64);
+        assert!((tets / aim - 1.0).abs() < 0.15, "{name}: {tets} tets of {aim}");
+        let quality = &built.fem_report.after;
+        assert!(
+            quality.min_dihedral_deg > 15.0 && quality.max_dihedral_deg < 150.0,
+            "{name}"
+        );
+        golden(name, &record(&built));
+    }
 }
