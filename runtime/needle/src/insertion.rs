@@ -28,6 +28,8 @@ pub struct Needle {
     limits: EdgeLimits,
     /// Tissue nodes on the needle, from entry to tip.
     chain: Vec<u32>,
+    /// Nodes of the rod past the chain: the tip, while a deep dent in the surface that it has pierced goes back.
+    beyond: usize,
     track: Option<Track>,
     states: Vec<FrictionState>,
     layers: Vec<Layer>,
@@ -70,11 +72,15 @@ impl Needle {
 
     /// First node of the rod that the tissue holds; the number of nodes where none is.
     fn first(&self) -> usize {
-        self.rod.position().len() - self.chain.len()
+        self.rod.position().len() - self.chain.len() - self.beyond
     }
 
     /// Length of needle in the tissue that belongs to each node of the chain, mm.
     fn lengths(&self) -> Vec<f64> {
+        if self.beyond > 0 {
+            // Only the surface's hole is on it.
+            return vec![0.0; self.chain.len()];
+        }
         let (first, rest) = (self.first(), self.rod.rest_length());
         (0..self.chain.len())
             .map(|k| {
@@ -95,7 +101,9 @@ impl Needle {
             arc += x[i].distance(x[i - 1]);
             arcs[i] = arc;
         }
-        arcs.split_off(self.first())
+        let mut own = arcs.split_off(self.first());
+        own.truncate(self.chain.len());
+        own
     }
 }
 
@@ -179,6 +187,7 @@ impl Insertion {
         self.needles.push(Needle {
             within: vec![false; layers.len()],
             track: None,
+            beyond: 0,
             states: vec![FrictionState::Static; chain.len()],
             last_membrane: None,
             rod,

@@ -445,3 +445,48 @@ fn refusals_say_what_is_wrong() {
         "{end:?}"
     );
 }
+
+/// A membrane tougher than what is under it can bear: the tissue tears, the deep dent goes back over the needle, and all goes on.
+#[test]
+fn a_deep_dent_goes_back_over_the_needle() {
+    let mut s = Insertion::new(gel([12, 6, 6], 5_000.0, 0, &one), InsertionParams::default()).unwrap();
+    let friction = NeedleFriction {
+        membranes: vec![Membrane {
+            name: "capsule".into(),
+            region: None,
+            outside: None,
+            from_mm: 0.0,
+            thickness_mm: 0.5,
+            cutting_un: 1e6,
+        }],
+        cutting_un: 5e4,
+        friction_un_per_mm: 1e4,
+        ..NeedleFriction::default()
+    };
+    s.add_needle(needle(15.7, 16.1, 20.0), friction).unwrap();
+    let mut kinds = Vec::new();
+    let (mut most, mut consistent) = (0.0f64, 0);
+    for k in 0..480 {
+        let r = s.step(&[push(if k < 240 { 10.0 } else { -10.0 })]).unwrap();
+        let n = &r.needles[0];
+        kinds.extend(n.events.iter().map(|e| match e {
+            Event::Contact => 'c',
+            Event::Puncture => 'p',
+            Event::Membrane { .. } => 'm',
+            Event::Left => 'l',
+        }));
+        most = most.max(n.base_axial_un);
+        consistent += usize::from(r.consistent);
+        if k == 239 {
+            let depth = n.contact_mm;
+            assert!(depth > 30.0, "{depth}");
+            let entry = s.needles()[0].chain()[0] as usize;
+            assert!(s.tissue().positions()[entry].x < 8.0);
+        }
+    }
+    assert_eq!(kinds.iter().filter(|k| **k == 'p').count(), 1, "{kinds:?}");
+    assert_eq!(kinds.first(), Some(&'c'));
+    assert_eq!(kinds.last(), Some(&'l'), "{kinds:?}");
+    assert!(most < 1e6 && consistent >= 475, "{most} {consistent}");
+    assert!(s.tissue().volume_ratios().iter().all(|v| v.1 > 0.0));
+}

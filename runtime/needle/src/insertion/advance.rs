@@ -199,7 +199,7 @@ impl Insertion {
                 cutting_un: 0.0,
             })
             .collect();
-        if let (Some(tip), Some(&node)) = (limits.last_mut(), needle.chain.last()) {
+        if let (Some(tip), Some(&node), 0) = (limits.last_mut(), needle.chain.last(), needle.beyond) {
             tip.cutting_un = self.cutting_at(needle, node);
         }
         limits
@@ -259,6 +259,7 @@ impl Insertion {
                     rod: &n.rod,
                     system,
                     chain: &n.chain,
+                    first: n.first(),
                     viscous: n.friction.viscous_un_s_per_mm2,
                     lengths: n.lengths(),
                 })

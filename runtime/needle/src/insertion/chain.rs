@@ -13,6 +13,11 @@ const LEAST_SLIP_MM: f64 = 1e-9;
 /// A needle less deep than this share of a tet is out.
 const LEAST_DEPTH: f64 = 0.05;
 
+/// A tip comes out of a deep dent by at least this, mm.
+const LEAST_PIERCE_MM: f64 = 0.02;
+/// Share of its volume down to which a tet counts as upright.
+const UPRIGHT: f64 = 0.05;
+
 /// What a tip does in the mesh after a part.
 pub(super) enum Goal {
     /// Nothing.
@@ -22,6 +27,8 @@ pub(super) enum Goal {
         /// Where the tip was, mm.
         from: DVec3,
     },
+    /// Comes through a surface that it has dented so deep that the tissue ahead has turned over: the surface slides back along it first.
+    Pierce,
     /// Cuts on to a place in the material.
     Advance(NodeState),
     /// Goes back to a place in the material.
@@ -106,8 +113,15 @@ impl Insertion {
         if n.track.is_none() {
             return Ok(Goal::Stay);
         }
+        if n.beyond > 0 {
+            return self.pierced(k, slip);
+        }
         let place = self.tip_place(n.chain[n.chain.len() - 1], tip, slip);
         match state {
+            FrictionState::Forward if n.chain.len() == 1 && self.is_turned_over(n.chain[0]) => {
+                let pierces = slip > LEAST_PIERCE_MM;
+                Ok(if pierces { Goal::Pierce } else { Goal::Stay })
+            }
             FrictionState::Forward if slip > LEAST_SLIP_MM => {
                 let Some((slot, weights)) = place else {
                     // A needle that only touches may slide off.
@@ -116,23 +130,7 @@ impl Insertion {
                         _ => Err(NeedleError::LeavesTissue { needle: k, at: tip }),
                     };
                 };
-                let Some(tet) = self.tissue.mesh().tet(slot) else {
-                    return Ok(Goal::Stay);
-                };
-                if n.friction.rigid_regions.contains(&tet.region) {
-                    return Err(NeedleError::HitsRigid {
-                        needle: k,
-                        region: tet.region,
-                        at: tip,
-                    });
-                }
-                let mut state = self.state_in(tet, weights);
-                let bevel = slip * n.friction.bevel_degrees.to_radians().tan();
-                if bevel != 0.0 {
-                    state.rest += self.material_direction(tet, n.rod.tip_frame().m2) * bevel;
-                }
-                state.position = tip;
-                Ok(Goal::Advance(state))
+                self.cut(k, slot, weights, slip)
             }
             FrictionState::Backward if slip < -LEAST_SLIP_MM => {
                 let inside: f64 = n.lengths().iter().sum();
@@ -149,6 +147,65 @@ impl Insertion {
             }
             _ => Ok(Goal::Stay),
         }
+    }
+
+    /// Cuts on to a place in the deformed tissue.
+    fn cut(&self, k: usize, slot: u32, weights: [f64; 4], slip: f64) -> Result<Goal, NeedleError> {
+        let n = &self.needles[k];
+        let tip = n.tip();
+        let Some(tet) = self.tissue.mesh().tet(slot) else {
+            return Ok(Goal::Stay);
+        };
+        if n.friction.rigid_regions.contains(&tet.region) {
+            return Err(NeedleError::HitsRigid {
+                needle: k,
+                region: tet.region,
+                at: tip,
+            });
+        }
+        let mut state = self.state_in(tet, weights);
+        let bevel = slip * n.friction.bevel_degrees.to_radians().tan();
+        if bevel != 0.0 {
+            state.rest += self.material_direction(tet, n.rod.tip_frame().m2) * bevel;
+        }
+        state.position = tip;
+        Ok(Goal::Advance(state))
+    }
+
+    /// A tip past the surface while the dent goes back: taken up where the tissue around the entry is upright again.
+    fn pierced(&self, k: usize, slip: f64) -> Result<Goal, NeedleError> {
+        let n = &self.needles[k];
+        let (tip, entry) = (n.tip(), n.chain[0]);
+        let ahead = tip - self.tissue.positions()[entry as usize];
+        let depth = ahead.dot(n.rod.tip_frame().tangent);
+        if depth < LEAST_PIERCE_MM {
+            return Ok(Goal::Leave);
+        }
+        if self.is_turned_over(entry) {
+            return Ok(Goal::Stay);
+        }
+        let mesh = self.tissue.mesh();
+        let hint = mesh.around(entry).first().map_or(0, |e| e.tet);
+        let Some((slot, weights)) = locate(&self.tissue, tip, hint) else {
+            return Ok(Goal::Stay);
+        };
+        let material = mesh.tet(slot).map(|t| self.state_in(t, weights).rest);
+        let far = material.map_or(f64::INFINITY, |u| u.distance(mesh.rest()[entry as usize]));
+        if far > 2.0 * depth + self.size_at(entry) {
+            return Ok(Goal::Stay);
+        }
+        self.cut(k, slot, weights, slip.max(0.0))
+    }
+
+    /// Whether a tet around a node is flat or turned over.
+    fn is_turned_over(&self, node: u32) -> bool {
+        let mesh = self.tissue.mesh();
+        let volume = |x: &[DVec3], t: Tet| {
+            let c = t.corners.map(|n| x[n as usize]);
+            (c[1] - c[0]).dot((c[2] - c[0]).cross(c[3] - c[0]))
+        };
+        let mut tets = mesh.around(node).iter().filter_map(|e| mesh.tet(e.tet));
+        tets.any(|t| volume(self.tissue.positions(), t) < UPRIGHT * volume(mesh.rest(), t))
     }
 
     /// Tet of the deformed tissue that a tip has slid to from its node, and its weights there. A dent so deep that tets overlap has more
@@ -317,11 +374,16 @@ impl Insertion {
                     r.events.push(Event::Contact);
                 }
             }
+            Goal::Pierce => {
+                n.beyond = 1;
+                r.events.push(Event::Puncture);
+            }
             Goal::Advance(state) => {
+                let pierced = std::mem::take(&mut n.beyond) > 0;
                 if let Some(track) = &mut n.track {
                     track.keep_off(others);
                     done = Some(track.advance(tissue, state)?);
-                    if was == 1 && track.nodes().len() > 1 {
+                    if was == 1 && !pierced && track.nodes().len() > 1 {
                         r.events.push(Event::Puncture);
                     }
                 }
@@ -337,6 +399,7 @@ impl Insertion {
                     track.leave(tissue)?;
                 }
                 n.chain.clear();
+                n.beyond = 0;
                 n.states.clear();
                 n.last_membrane = None;
                 n.within.fill(false);
@@ -403,6 +466,9 @@ impl Insertion {
             position.pop();
         }
         position.extend(n.chain.iter().map(|&t| x[t as usize]));
+        if n.beyond > 0 {
+            position.push(n.tip());
+        }
         n.rod.reparametrize(position)
     }
 

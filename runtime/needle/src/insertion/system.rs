@@ -80,7 +80,7 @@ impl<'a> Coupled<'a> {
         let mut shared = vec![NONE; x.len()];
         let mut nodes = Vec::new();
         for (k, s) in strands.iter().enumerate() {
-            let first = s.rod.position().len() - s.chain.len();
+            let first = s.first;
             for (j, &n) in s.chain.iter().enumerate() {
                 let (i, t) = (first + j, n as usize);
                 shared[t] = nodes.len() as u32;
@@ -166,12 +166,12 @@ impl<'a> Coupled<'a> {
         let mut owner: Vec<(usize, usize)> = Vec::new();
         for (i, s) in self.strands.iter().enumerate() {
             let count = s.rod.position().len();
-            let first = count - s.chain.len();
+            let shared = s.first..s.first + s.chain.len();
             for j in 0..count {
-                if s.rod.is_prescribed(j) && j < first {
+                if s.rod.is_prescribed(j) && !shared.contains(&j) {
                     continue;
                 }
-                let u = if j < first {
+                let u = if !shared.contains(&j) {
                     Unknowns::free(size)
                 } else {
                     k += 1;
@@ -242,9 +242,9 @@ impl<'a> Coupled<'a> {
 
     fn node_at(&self, strand: usize, rod: usize) -> Option<&Node> {
         let s = &self.strands[strand];
-        let first = s.rod.position().len() - s.chain.len();
         let before: usize = self.strands[..strand].iter().map(|s| s.chain.len()).sum();
-        (rod >= first).then(|| &self.nodes[before + rod - first])
+        let shared = s.first..s.first + s.chain.len();
+        shared.contains(&rod).then(|| &self.nodes[before + rod - s.first])
     }
 
     /// Viscous force on the needle at a node for the accelerations at hand, µN.
@@ -378,8 +378,8 @@ impl<'a> Coupled<'a> {
             .collect();
         let index = |i: usize, j: usize| {
             let s = &self.strands[i];
-            let start = s.rod.position().len() - s.chain.len();
-            (j >= start).then(|| first[i] + j - start)
+            let shared = s.first..s.first + s.chain.len();
+            shared.contains(&j).then(|| first[i] + j - s.first)
         };
         self.solve_block(
             |u, i, j| {

@@ -234,6 +234,7 @@ fn with_system(seed: u64, linear: Linear, check: impl FnOnce(&mut Coupled, &[Fri
         rod: &needle.rod,
         system: &system,
         chain: &needle.chain,
+        first: needle.first(),
         viscous: 20.0,
         lengths: needle.lengths(),
     }];

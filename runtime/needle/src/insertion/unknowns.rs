@@ -9,8 +9,10 @@ use glam::{DMat3, DVec3};
 pub(super) struct Strand<'a> {
     pub rod: &'a Rod,
     pub system: &'a StepSystem,
-    /// Tissue nodes on the needle, from the entry to the tip: the last nodes of the rod.
+    /// Tissue nodes on the needle, from the entry on.
     pub chain: &'a [u32],
+    /// Node of the rod that belongs to the first of them.
+    pub first: usize,
     /// Viscous friction, µN·s/mm².
     pub viscous: f64,
     /// Length of needle in the tissue that belongs to each node of the chain, mm.
