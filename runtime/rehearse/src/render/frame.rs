@@ -143,6 +143,8 @@ fn view(scene: &SceneGeometry, camera: &Camera, organ_opacity: f32, out: &mut Pi
             m,
             Material {
                 opacity,
+                // Where it lies on the organ's surface.
+                lift_mm: 0.5,
                 ..Material::plain(colour)
             },
         )

@@ -29,6 +29,8 @@ pub struct Material {
     pub lit: bool,
     /// Whether each triangle's border is smoothed: for bodies with sharp edges.
     pub sharp: bool,
+    /// How much nearer than it is a veil counts where veils are put in order, mm: of two that coincide the lifted one shows.
+    pub lift_mm: f32,
 }
 
 impl Material {
@@ -41,6 +43,7 @@ impl Material {
             two_sided: false,
             lit: true,
             sharp: false,
+            lift_mm: 0.0,
         }
     }
 }
@@ -378,13 +381,15 @@ fn sample_colour(
     let mut done = f32::NEG_INFINITY;
     for _ in 1..band.layers {
         let next = (1..band.layers)
-            .filter(|&l| look(l).is_some())
-            .map(|l| (samples.height[place(l, s)], l))
-            .filter(|&(h, _)| h > done)
+            .filter_map(|l| {
+                let lift = materials[look(l)?.item as usize].lift_mm;
+                Some((samples.height[place(l, s)] + lift, lift, l))
+            })
+            .filter(|&(h, ..)| h > done)
             .min_by(|a, b| a.0.total_cmp(&b.0));
-        let Some((h, l)) = next else { break };
+        let Some((h, lift, l)) = next else { break };
         done = h;
-        if let (true, Some(t)) = (h > height + VEIL_BIAS_MM, look(l)) {
+        if let (true, Some(t)) = (h - lift > height + VEIL_BIAS_MM, look(l)) {
             let (c, opacity) = shade(t, &materials[t.item as usize], at);
             colour = mix(colour, c, opacity);
         }

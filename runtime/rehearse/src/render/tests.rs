@@ -122,6 +122,19 @@ fn nearer_wins_in_any_order_and_veils_let_through() {
         [0, 0, 255],
         "a veil behind something does not show"
     );
+    // Of two veils in the same place the lifted one is in front, whichever comes first.
+    let lifted = Material { lift_mm: 0.5, ..half };
+    let under = Material {
+        colour: blue.colour,
+        ..half
+    };
+    for veils in [[lifted, under], [under, lifted]] {
+        let view = View3d {
+            veils: veils.iter().map(|&m| item(&near, m)).collect(),
+            ..View3d::default()
+        };
+        assert_eq!(centre(&view), [128, 0, 64]);
+    }
 }
 
 #[test]
