@@ -70,7 +70,8 @@ fn run(cli: Cli) -> anyhow::Result<()> {
                 let table = bench_image(scene.as_deref(), &packages, &cpu, &progress)?;
                 return print(&table);
             }
-            let (devices, notes) = match fem {
+            let fem_scene = scene.as_deref().map(SceneSource::read).transpose()?;
+            let (devices, notes) = match fem || fem_scene.is_some_and(|s| s.scene.is_fem()) {
                 // Finite elements are computed on the CPU.
                 true => (vec![Device::Cpu { threads }], Vec::new()),
                 false => device.devices(threads)?,

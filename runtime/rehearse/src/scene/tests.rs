@@ -207,3 +207,21 @@ fn wrong_keys_units_values_and_names_are_told_with_their_line() {
         assert!(fits, "{text}\ngot      {got}\nexpected {expected}");
     }
 }
+
+#[test]
+fn every_scene_of_the_folder_reads() {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../fixtures/scenes");
+    let mut names = Vec::new();
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.extension().is_some_and(|e| e == "toml") {
+            let source = SceneSource::read(&path).unwrap();
+            assert!(!source.scene.name.is_empty());
+            names.push(source.scene.name);
+        }
+    }
+    assert!(names.len() >= 7, "{names:?}");
+    names.sort();
+    names.dedup();
+    assert!(names.len() >= 7, "two scenes of one name: {names:?}");
+}
