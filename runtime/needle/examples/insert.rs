@@ -238,6 +238,13 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut reports: Vec<InsertionReport> = Vec::new();
     let (mut least, mut most) = (180.0f64, 0.0f64);
     let mut since_puncture = None;
+    let connectivity = |mesh: &TissueMesh| {
+        let mut all: Vec<_> = mesh.tets().map(|(_, t)| (t.corners, t.region)).collect();
+        all.sort_unstable();
+        all
+    };
+    let before = connectivity(s.tissue().mesh());
+    let (mut most_energy_nj, mut left, mut whole, mut overturned) = (0.0f64, 0u32, 0u32, 0usize);
     println!(
         "  step  depth  base/N slip/mm   st  +  -  trials  iter parts   q worst | total   lcp tissue needle remesh ms"
     );
@@ -273,9 +280,22 @@ fn main() -> Result<(), Box<dyn Error>> {
                 println!("round {round} step {step}: {e:?}");
                 match e {
                     Event::Puncture => since_puncture = Some(0),
-                    Event::Left => since_puncture = None,
+                    Event::Left => {
+                        since_puncture = None;
+                        left += 1;
+                        whole += u32::from(connectivity(s.tissue().mesh()) == before);
+                    }
                     _ => {}
                 }
+            }
+            let energy = s.tissue().strain_energy_nj() + s.tissue().kinetic_energy_nj();
+            if !energy.is_finite() || !n.tip.is_finite() {
+                println!("round {round} step {step}: energy {energy}, tip {}", n.tip);
+                break 'rounds;
+            }
+            most_energy_nj = most_energy_nj.max(energy);
+            if s.tissue().volume_ratios().iter().any(|v| v.1 <= 0.0) {
+                overturned += 1;
             }
             if let Some(count) = &mut since_puncture {
                 *count += 1;
@@ -336,6 +356,10 @@ fn main() -> Result<(), Box<dyn Error>> {
     let inverted = s.tissue().volume_ratios().iter().filter(|v| v.1 <= 0.0).count();
     println!(
         "dihedral from 20 steps after each puncture {least:.1}–{most:.1}, tets inverted at the end {inverted}"
+    );
+    println!(
+        "steps with a tet inverted {overturned}, energy at most {:.3} mJ; the needle left {left} times, the connectivity was the original's {whole} times",
+        most_energy_nj * 1e-6
     );
     println!(
         "at the end {} nodes, {} tets, dihedral {:.1?}, strain energy {:.3e} nJ",
