@@ -38,12 +38,13 @@ fn grid_normal(data: u32, p: vec3<f32>) -> vec3<f32> {
     return normal_or(d, vec3<f32>(1.0, 0.0, 0.0));
 }
 
-// Lower bound of the distance between p and the surface, from the nearest node.
-fn grid_bound(data: u32, p: vec3<f32>) -> f32 {
+// Lower bound of the distance between p and the surface, from the nearest node, and -1 where that node is inside, else 1.
+fn grid_bound(data: u32, p: vec3<f32>) -> vec2<f32> {
     let head = floats(data);
     let dims = shapes[data + 1u];
     let u = (p - head.xyz) / head.w + 0.5;
     let n = vec3<u32>(clamp(u, vec3<f32>(0.0), vec3<f32>(dims.xyz - vec3<u32>(1u))));
     let node = head.xyz + vec3<f32>(n) * head.w;
-    return abs(grid_at(dims, n)) - distance(p, node);
+    let value = grid_at(dims, n);
+    return vec2<f32>(abs(value) - distance(p, node), select(1.0, -1.0, value < 0.0));
 }

@@ -2,7 +2,8 @@
 //
 // Header: that of the grid of distances (2 entries); places of nodes, triangles, leaf order and vertex normals; places of
 // fan offsets and fans, whether the mesh is closed. A node: low corner and `at`, high corner and `count`. A triangle: corners
-// with the neighbour across the edge that starts there, normal, vertices.
+// with the neighbour across the edge that starts there; normal with a bit for each edge at the floor of a valley; vertices.
+// Every decision is that of the CPU's search, with the same margins.
 
 const FACE: u32 = 0u;
 // Edge n runs from corner n to corner n + 1.
@@ -10,8 +11,12 @@ const EDGE: u32 = 1u;
 const CORNER: u32 = 4u;
 
 const MOST: u32 = 6u;
-// Sine of the bend from which an edge counts as a valley.
-const CREASE: f32 = 0.25;
+// How far beyond a triangle's edges its face still counts, mm.
+const RIM: f32 = 1e-3;
+// Contacts whose depths differ by less are equally deep, mm.
+const TIE: f32 = 1e-4;
+// Contacts are handed over in the order of their normals along this direction.
+const ASKEW: vec3<f32> = vec3<f32>(0.3571, 0.5209, 0.7753);
 const STACK: u32 = 64u;
 const NO_NEIGHBOUR: u32 = 0xffffffffu;
 
@@ -81,51 +86,66 @@ fn pseudo_normal(places: vec4<u32>, t: u32, feature: u32) -> vec3<f32> {
     return floats(places.w + shapes[at + 4u][feature - CORNER]).xyz;
 }
 
-fn nearer(triangles: u32, t: u32, p: vec3<f32>, d2: f32) -> bool {
-    let away = nearest_on(triangles, t, p).point - p;
-    return dot(away, away) < d2 * (1.0 - 1e-4);
-}
-
-// Whether no triangle at the edge or vertex of q is nearer to p than q itself: then p lies in the Voronoi region of that
-// edge or vertex.
+// Whether p lies in the Voronoi region of the edge or vertex of triangle t that is nearest to it on t.
 fn owns(data: u32, t: u32, q: Nearest, p: vec3<f32>) -> bool {
     let places = shapes[data + 2u];
     if q.feature == FACE {
         return true;
     }
-    let away = q.point - p;
-    let d2 = dot(away, away);
     let at = places.y + 5u * t;
     if q.feature < CORNER {
-        let other = shapes[at + q.feature - EDGE].w;
-        return other == NO_NEIGHBOUR || !nearer(places.y, other, p, d2);
+        let k = q.feature - EDGE;
+        let other = shapes[at + k].w;
+        if other == NO_NEIGHBOUR {
+            return true;
+        }
+        let a = floats(at + k).xyz;
+        // The neighbour runs the edge backwards.
+        let into = cross(floats(at + (k + 1u) % 3u).xyz - a, floats(places.y + 5u * other + 3u).xyz);
+        return dot(into, p - a) <= 1e-4 * length(into);
     }
     let fans = shapes[data + 3u];
     let v = shapes[at + 4u][q.feature - CORNER];
+    let corner = floats(at + q.feature - CORNER).xyz;
+    let away = p - corner;
     let end = word(fans.x, v + 1u);
     for (var n = word(fans.x, v); n < end; n++) {
-        let other = word(fans.y, n);
-        if other != t && nearer(places.y, other, p, d2) {
+        let other = places.y + 5u * word(fans.y, n);
+        let vertices = shapes[other + 4u];
+        let k = select(select(2u, 1u, vertices.y == v), 0u, vertices.x == v);
+        let next = floats(other + (k + 1u) % 3u).xyz - corner;
+        let last = floats(other + (k + 2u) % 3u).xyz - corner;
+        if !(dot(away, next) <= 1e-4 * length(next) && dot(away, last) <= 1e-4 * length(last)) {
             return false;
         }
     }
     return true;
 }
 
-// Whether a feature of triangle t is an edge at the floor of a valley.
-fn creased(places: vec4<u32>, t: u32, feature: u32) -> bool {
-    if feature < EDGE || feature >= CORNER {
-        return false;
-    }
+// Whether p, off a corner by `away`, is within the rim along the edge from there to `end`.
+fn along(end: vec3<f32>, corner: vec3<f32>, away: vec3<f32>) -> bool {
+    let edge = end - corner;
+    return dot(edge, away) >= -RIM * length(edge);
+}
+
+// Whether the plane of triangle t holds p: above the face and its rim, and above the floor of a valley, also beyond it.
+fn faces(places: vec4<u32>, t: u32, q: Nearest, p: vec3<f32>) -> bool {
     let at = places.y + 5u * t;
-    let k = feature - EDGE;
-    let other = shapes[at + k].w;
-    if other == NO_NEIGHBOUR {
-        return false;
+    let normal = floats(at + 3u).xyz;
+    let away = p - q.point;
+    let off = away - normal * dot(normal, away);
+    if q.feature == FACE || dot(off, off) <= RIM * RIM {
+        return true;
     }
-    let edge = floats(at + (k + 1u) % 3u).xyz - floats(at + k).xyz;
-    let into = cross(edge, floats(places.y + 5u * other + 3u).xyz);
-    return dot(floats(at + 3u).xyz, into) > CREASE * length(edge);
+    let creased = shapes[at + 3u].w;
+    if q.feature < CORNER {
+        return (creased & (1u << (q.feature - EDGE))) != 0u;
+    }
+    let k = q.feature - CORNER;
+    let last = (k + 2u) % 3u;
+    let corner = floats(at + k).xyz;
+    return ((creased & (1u << k)) != 0u && along(floats(at + (k + 1u) % 3u).xyz, corner, away))
+        || ((creased & (1u << last)) != 0u && along(floats(at + last).xyz, corner, away));
 }
 
 var<private> kept: array<vec4<f32>, 6>;
@@ -149,12 +169,12 @@ fn keep(normal: vec3<f32>, point: vec3<f32>, b: vec3<f32>) {
         if slot == MOST {
             slot = 0u;
             for (var n = 1u; n < MOST; n++) {
-                if kept[n].w > kept[slot].w {
+                if kept[n].w > kept[slot].w + TIE {
                     slot = n;
                 }
             }
         }
-        if !(c < kept[slot].w) {
+        if !(c < kept[slot].w - TIE) {
             return;
         }
     }
@@ -178,7 +198,7 @@ fn triangle_contact(data: u32, t: u32, m: Motion) -> bool {
             return true;
         }
     }
-    if sa < -0.5 * m.distance {
+    if sa < -0.5 * m.distance || abs(sb) >= m.reach {
         return false;
     }
     let q = nearest_on(places.y, t, m.b);
@@ -187,12 +207,11 @@ fn triangle_contact(data: u32, t: u32, m: Motion) -> bool {
     if !(d2 < m.reach * m.reach) {
         return false;
     }
-    // Across a valley the other side counts as well.
-    let across = !owns(data, t, q, m.b);
-    if across && !creased(places, t, q.feature) {
+    let faced = faces(places, t, q, m.b);
+    if !faced && !owns(data, t, q, m.b) {
         return false;
     }
-    if across || q.feature == FACE {
+    if faced {
         keep(n, q.point, m.b);
         return true;
     }
@@ -207,7 +226,9 @@ fn triangle_contact(data: u32, t: u32, m: Motion) -> bool {
 }
 
 fn mesh_contacts(data: u32, m: Motion) {
-    if grid_bound(data, m.b) > m.reach + distance(m.a, m.b) {
+    let bound = grid_bound(data, m.b);
+    let closed = shapes[data + 3u].z != 0u;
+    if bound.x > m.reach + distance(m.a, m.b) && !(closed && bound.y < 0.0) {
         return;
     }
     kept_count = 0u;
@@ -239,11 +260,20 @@ fn mesh_contacts(data: u32, m: Motion) {
         }
     }
     // A particle inside a closed mesh is pushed out.
-    if !ahead && shapes[data + 3u].z != 0u && grid_distance(data, m.a) < -0.5 * m.distance {
+    if !ahead && closed && grid_distance(data, m.a) < -0.5 * m.distance {
         let normal = grid_normal(data, m.b);
         keep(normal, m.b - normal * grid_distance(data, m.b), m.b);
     }
-    for (var n = 0u; n < kept_count; n++) {
-        add_contact(kept[n].xyz, kept_points[n]);
+    // The lowest one that is left, each time.
+    for (var left = kept_count; left > 0u; left--) {
+        var lowest = 0u;
+        for (var n = 1u; n < left; n++) {
+            if dot(kept[n].xyz, ASKEW) < dot(kept[lowest].xyz, ASKEW) {
+                lowest = n;
+            }
+        }
+        add_contact(kept[lowest].xyz, kept_points[lowest]);
+        kept[lowest] = kept[left - 1u];
+        kept_points[lowest] = kept_points[left - 1u];
     }
 }

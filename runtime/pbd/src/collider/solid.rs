@@ -13,6 +13,14 @@ const MOST: usize = 6;
 /// Sine of the bend from which an edge counts as a valley, 15°: in flatter ones a particle that is pushed from one side
 /// hardly leaves it.
 const CREASE: f32 = 0.25;
+/// How far beyond a triangle's edges its face still counts, mm. Particles exactly above an edge or vertex are common on
+/// regular meshes; no rounding may decide there which planes they see.
+const RIM: f32 = 1e-3;
+/// Contacts whose depths differ by less are equally deep, mm: the first one found stays, however the depths are rounded.
+const TIE: f32 = 1e-4;
+/// Contacts are handed over in the order of their normals along this direction, which is askew to any regular mesh: the order
+/// then depends on the planes alone.
+const ASKEW: Vec3 = Vec3::new(0.3571, 0.5209, 0.7753);
 
 /// Triangles with everything that contact asks of them.
 #[derive(Clone, Debug)]
@@ -30,7 +38,7 @@ pub(crate) struct MeshSolid {
     /// Triangles whose altitudes are not much shorter than their edges.
     sound: Vec<bool>,
     /// Edges along which the mesh is a valley: a bit each.
-    creased: Vec<u8>,
+    pub(crate) creased: Vec<u8>,
     pub(crate) closed: bool,
     pub(crate) bounds: (Vec3, Vec3),
 }
@@ -166,6 +174,31 @@ impl MeshSolid {
     /// Whether edge `k` of triangle `t` is the floor of a valley.
     fn is_creased(&self, t: usize, k: usize) -> bool {
         self.creased[t] & (1 << k) != 0
+    }
+
+    /// Whether the plane of triangle `t` holds `p`, nearest to which it has `q`: above the face and its rim, and above the
+    /// floor of a valley, also beyond it: both sides of a valley count, else each substep would push the particle from one
+    /// side to the other.
+    fn faces(&self, t: usize, q: &Nearest, p: Vec3) -> bool {
+        let n = self.normals[t];
+        let away = p - q.point;
+        if q.feature == Feature::Face || (away - n * n.dot(away)).length_squared() <= RIM * RIM {
+            return true;
+        }
+        // Whether `p` is within the rim along an edge that starts at a corner and is a valley.
+        let along = |k: usize, from: usize, to: usize| {
+            let edge = self.corners[t][to] - self.corners[t][from];
+            self.is_creased(t, k) && edge.dot(away) >= -RIM * edge.length()
+        };
+        match q.feature {
+            Feature::Face => true,
+            Feature::Edge(k) => self.is_creased(t, k.into()),
+            Feature::Corner(k) => {
+                let k = usize::from(k);
+                let last = (k + 2) % 3;
+                along(k, k, (k + 1) % 3) || along(last, k, last)
+            }
+        }
     }
 
     /// Whether `p` lies in the Voronoi region of the edge or vertex of triangle `t` that is nearest to it on `t`: no
@@ -368,15 +401,15 @@ impl<'a> Touches<'a> {
         let Self { found, count, .. } = self;
         let c = contact.normal.dot(self.motion.b - contact.point);
         if let Some(i) = (0..*count).find(|&i| found[i].1.normal.dot(contact.normal) > 0.999) {
-            if c < found[i].0 {
+            if c < found[i].0 - TIE {
                 found[i] = (c, contact);
             }
         } else if *count < MOST {
             found[*count] = (c, contact);
             *count += 1;
         } else {
-            let worst = (0..MOST).fold(0, |w, i| if found[i].0 > found[w].0 { i } else { w });
-            if c < found[worst].0 {
+            let worst = (0..MOST).fold(0, |w, i| if found[i].0 > found[w].0 + TIE { i } else { w });
+            if c < found[worst].0 - TIE {
                 found[worst] = (c, contact);
             }
         }
@@ -415,14 +448,12 @@ impl<'a> Touches<'a> {
         if d2 >= reach * reach {
             return;
         }
-        // Across a valley the other side counts as well: else each substep would push the particle from one side to the
-        // other.
-        let across = !mesh.owns(t, &q, b);
-        if across && !matches!(q.feature, Feature::Edge(k) if mesh.is_creased(t, k.into())) {
+        let faces = mesh.faces(t, &q, b);
+        if !faces && !mesh.owns(t, &q, b) {
             return;
         }
         self.ahead = true;
-        if across || q.feature == Feature::Face {
+        if faces {
             self.keep(LocalContact {
                 normal: n,
                 point: q.point,
@@ -456,7 +487,9 @@ impl<'a> Touches<'a> {
                 point: b - normal * grid.distance(b),
             });
         }
-        for (_, contact) in &self.found[..self.count] {
+        let found = &mut self.found[..self.count];
+        found.sort_by(|(_, a), (_, b)| a.normal.dot(ASKEW).total_cmp(&b.normal.dot(ASKEW)));
+        for (_, contact) in found {
             out.push(*contact);
         }
     }

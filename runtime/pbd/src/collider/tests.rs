@@ -119,6 +119,8 @@ fn both_sides_of_a_valley_count_beyond_its_floor() {
     for (slope, point, sides) in [
         (0.5, Vec3::new(0.8, 1.2, 0.3), 2),
         (0.5, Vec3::new(0.0, 1.2, 0.3), 2),
+        // Exactly above the end of the floor.
+        (0.5, Vec3::new(0.8, 1.2, 5.0), 2),
         // Too far from the left side.
         (0.5, Vec3::new(2.0, 1.7, 0.3), 1),
         // Hardly a valley.

@@ -98,7 +98,7 @@ impl ShapeData {
             for k in 0..3 {
                 self.words.push(bits(mesh.corners[t][k], mesh.neighbours[t][k]));
             }
-            self.words.push(bits(mesh.normals[t], 0));
+            self.words.push(bits(mesh.normals[t], u32::from(mesh.creased[t])));
             let [a, b, c] = mesh.triangles[t];
             self.words.push([a, b, c, 0]);
         }

@@ -2,6 +2,7 @@
 
 #[path = "../../../tests/common/mod.rs"]
 mod common;
+mod planes;
 mod shaders;
 mod twins;
 
@@ -21,6 +22,27 @@ fn bumpy() -> TriangleMesh {
     for j in 0..=n {
         for i in 0..=n {
             let height = 0.9 * ((i * 7 + j * 11) % 5) as f32 / 5.0;
+            mesh.vertices.push([3.0 * i as f32, height, 3.0 * j as f32]);
+        }
+    }
+    for j in 0..n {
+        for i in 0..n {
+            let a = i + (n + 1) * j;
+            mesh.triangles
+                .extend([[a, a + n + 1, a + 1], [a + 1, a + n + 1, a + n + 2]]);
+        }
+    }
+    mesh
+}
+
+/// An open surface of valleys and ridges, steep ones and slight ones, symmetric where heights repeat.
+fn furrowed() -> TriangleMesh {
+    let n = 16u32;
+    let mut mesh = TriangleMesh::default();
+    for j in 0..=n {
+        for i in 0..=n {
+            let height = [0.0, 1.5, 0.5, 1.5, 0.0, 0.25][(i + 2 * (j / 4)) as usize % 6]
+                + [0.0, 0.5, 0.0][j as usize % 3];
             mesh.vertices.push([3.0 * i as f32, height, 3.0 * j as f32]);
         }
     }

@@ -1,7 +1,6 @@
 use super::{crowded, device};
 use crate::gpu::GpuSolver;
 use crate::gpu::buffers::{quad, triples};
-use crate::gpu::layout::{NO_SOLID, Plane, SLOTS};
 use crate::gpu::record::Recorder;
 use crate::solver::neighbours::PairContact;
 use crate::solver::particles::Integration;
@@ -12,17 +11,17 @@ use glam::{DVec3, Quat, Vec3, Vec3A};
 use palpate_gpu::Gpu;
 
 /// Agreement that a kernel must reach, mm.
-const NEAR_MM: f32 = 1e-4;
+pub(super) const NEAR_MM: f32 = 1e-4;
 
 /// A CPU core and a GPU solver in the same state, in the middle of a crowded session.
-struct Pair {
-    core: Core,
-    gpu: GpuSolver,
-    settings: Settings,
+pub(super) struct Pair {
+    pub(super) core: Core,
+    pub(super) gpu: GpuSolver,
+    pub(super) settings: Settings,
 }
 
 impl Pair {
-    fn new(gpu: &Gpu, settings: &Settings) -> Result<Self, PbdError> {
+    pub(super) fn new(gpu: &Gpu, settings: &Settings) -> Result<Self, PbdError> {
         let scene: Scene = crowded();
         let mut cpu = Solver::new(scene.clone(), settings.clone())?;
         let poses: Vec<_> = (0..scene.colliders.len())
@@ -65,8 +64,17 @@ impl Pair {
         })
     }
 
+    /// A scene as it starts.
+    pub(super) fn at_rest(gpu: &Gpu, scene: Scene, settings: &Settings) -> Result<Self, PbdError> {
+        Ok(Self {
+            core: Core::new(&scene, settings, solver::Order::AsGiven)?,
+            gpu: GpuSolver::new(gpu, &scene, settings)?,
+            settings: settings.clone(),
+        })
+    }
+
     /// Records with `record` and runs it.
-    fn run(&mut self, record: impl FnOnce(&mut Recorder) -> Result<(), palpate_gpu::GpuError>) {
+    pub(super) fn run(&mut self, record: impl FnOnce(&mut Recorder) -> Result<(), palpate_gpu::GpuError>) {
         self.gpu.begin();
         let g = &self.gpu;
         let mut recorder = Recorder::new(&g.gpu, &g.kernels, &g.buffers, g.sizes, 1);
@@ -107,7 +115,7 @@ impl Pair {
     }
 
     /// Predictions and all contacts on both sides.
-    fn collide(&mut self) {
+    pub(super) fn collide(&mut self) {
         self.predict();
         let Self { core, settings, .. } = self;
         core.solids.advance(0, settings.substeps);
@@ -122,7 +130,7 @@ impl Pair {
     }
 }
 
-fn contacts<'a>(
+pub(super) fn contacts<'a>(
     ranges: &'a [solver::neighbours::Range],
     distance: &'a [f32],
     margin: &'a [f32],
@@ -160,7 +168,7 @@ fn near(what: &str, gpu: &[[f32; 3]], cpu: &[Vec3A], tolerance: f32) {
     assert!(worst <= tolerance, "{what}: particle {at} differs by {worst} mm");
 }
 
-fn settings() -> Settings {
+pub(super) fn settings() -> Settings {
     Settings {
         particle_margin_factor: 0.05,
         mass_scaling_per_mm: 0.01,
@@ -270,48 +278,6 @@ fn find_candidates() {
         assert!(pairs > 100, "{pairs} pairs");
         assert_eq!(p.gpu.clamps().expect("clamps").particle_contacts, dropped);
         assert_eq!(dropped > 0, !rest_filter);
-    }
-}
-
-#[test]
-fn find_planes() {
-    let Some(gpu) = device() else { return };
-    let mut p = Pair::new(&gpu, &settings()).expect("pair");
-    p.collide();
-    let n = p.gpu.sizes.particles;
-    let planes: Vec<Plane> = gpu.read(&p.gpu.buffers.planes, n * SLOTS).expect("planes");
-    let order = &p.gpu.solids.order;
-    let mut touched = vec![0; order.len()];
-    for i in 0..n {
-        let row = p.core.solids.row(i);
-        for (s, cpu) in row.iter().enumerate() {
-            let gpu = &planes[s * n + i];
-            assert_ne!(gpu.solid, NO_SOLID, "plane {s} of {i}");
-            assert_eq!(order[gpu.solid as usize], cpu.solid as usize, "plane {s} of {i}");
-            touched[cpu.solid as usize] += 1;
-            // The plane's distance to the particle is what moves it.
-            let x = p.core.particles.predicted[i];
-            let depth = |normal: Vec3, offset: f32| offset - Vec3A::from(normal).dot(x);
-            let (a, b) = (
-                depth(gpu.normal.into(), gpu.offset),
-                depth(cpu.normal, cpu.offset),
-            );
-            assert!((a - b).abs() < NEAR_MM, "{i}, {s}: depth {a} and {b}");
-            assert!(
-                Vec3::from(gpu.normal).distance(cpu.normal) < 1e-3,
-                "{i}, {s}: {gpu:?} {cpu:?}"
-            );
-            assert!(
-                Vec3::from(gpu.drift).distance(cpu.drift) < NEAR_MM,
-                "{i}, {s}: {gpu:?} {cpu:?}"
-            );
-        }
-        if row.len() < SLOTS {
-            assert_eq!(planes[row.len() * n + i].solid, NO_SOLID, "end of {i}");
-        }
-    }
-    for (k, &t) in touched.iter().enumerate() {
-        assert!(t > 3, "{} was touched {t} times", p.core.solids.list[k].name);
     }
 }
 
