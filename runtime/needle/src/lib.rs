@@ -6,8 +6,9 @@
 //! Makes: its motion, alone ([`Rod::step`], [`Rod::equilibrium`]) or as the block-banded part of a system coupled with tissue
 //! ([`Rod::begin_step`], [`StepSystem`], [`Rod::finish_step`]); interpolation of its quantities when its nodes change; the
 //! friction states of nodes shared with tissue ([`solve_stick_slip`]); nodes and edges of the tissue's mesh along the needle
-//! ([`Track`]).
-//! Refuses: parameters out of range, nodes that make no needle, a needle bent back on itself, more retraction than there is.
+//! ([`Track`]); needles and tissue moved on together, from the first touch to the last ([`Insertion`]).
+//! Refuses: parameters out of range, nodes that make no needle, a needle bent back on itself, more retraction than there is; one that
+//! starts inside the tissue, leaves it through the far side or meets a rigid region.
 //!
 //! Units: mm, g, s; so force is µN, stress Pa, energy nJ.
 #![forbid(unsafe_code)]
