@@ -56,6 +56,12 @@ pub enum Command {
         /// How exact the image is in place of time: its mesh against points skinned directly. On the CPU.
         #[arg(long, conflicts_with = "fem")]
         image: bool,
+        /// Scenes with needles: what their steps take and how they are solved, in place of the protocol. On the CPU.
+        #[arg(long, value_name = "SCENE", num_args = 1.., conflicts_with_all = ["scene", "fem", "image"])]
+        needle: Vec<PathBuf>,
+        /// With --needle: thresholds of lazy Jacobians to compare with renewing all, µN/mm.
+        #[arg(long, value_name = "UN_PER_MM", value_delimiter = ',', requires = "needle")]
+        lazy: Vec<f64>,
         /// Devices: auto measures the CPU and every real GPU.
         #[command(flatten)]
         device: BackendArgs,

@@ -5,7 +5,9 @@ use palpate_rehearse::args::{Cli, Command, RunArgs};
 use palpate_rehearse::recording::{Recording, Replayed, TOLERANCE_MM};
 use palpate_rehearse::scene::{EXAMPLE, FEM_PRESS, KIDNEY_BIOPSY, PROBE_PRESS, SceneSource};
 use palpate_rehearse::session::{Device, Session, load};
-use palpate_rehearse::{Backend, Progress, UsageError, bench, bench_image, bench_tables, check, devices};
+use palpate_rehearse::{
+    Backend, Progress, UsageError, bench, bench_image, bench_needle, bench_tables, check, devices,
+};
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
@@ -58,6 +60,8 @@ fn run(cli: Cli) -> anyhow::Result<()> {
             scene,
             fem,
             image,
+            needle,
+            lazy,
             device,
             threads,
             quiet,
@@ -69,6 +73,11 @@ fn run(cli: Cli) -> anyhow::Result<()> {
                 let progress = Progress::counting(quiet);
                 let table = bench_image(scene.as_deref(), &packages, &cpu, &progress)?;
                 return print(&table);
+            }
+            if !needle.is_empty() {
+                let cpu = Device::Cpu { threads };
+                let progress = Progress::counting(quiet);
+                return print(&bench_needle(&needle, &packages, &lazy, &cpu, &progress)?);
             }
             let fem_scene = scene.as_deref().map(SceneSource::read).transpose()?;
             let (devices, notes) = match fem || fem_scene.is_some_and(|s| s.scene.is_fem()) {

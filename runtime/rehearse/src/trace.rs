@@ -181,6 +181,8 @@ pub struct Coupling {
     pub needle_s: f64,
     /// Remeshing at the tip, s.
     pub remesh_s: f64,
+    /// Share of the tets whose Jacobian was renewed in the last part.
+    pub renewed_share: f64,
 }
 
 /// Distance of two places, mm.

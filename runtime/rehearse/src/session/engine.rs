@@ -251,6 +251,14 @@ impl Engine {
         }
     }
 
+    /// Finite elements; none of particles.
+    pub(super) fn tissue(&self) -> Option<&TissueEngine> {
+        match self {
+            Self::Cpu(_) | Self::Gpu(_) => None,
+            Self::Tissue(t) => Some(t),
+        }
+    }
+
     pub(super) fn gpu(&self) -> Option<&Gpu> {
         match self {
             Self::Cpu(_) | Self::Tissue(_) => None,

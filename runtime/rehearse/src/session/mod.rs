@@ -150,6 +150,11 @@ impl Session {
         self.size
     }
 
+    /// Least and greatest dihedral angle of the finite elements at rest as needles have left them, degrees; none of particles.
+    pub fn dihedral_degrees(&self) -> Option<[f64; 2]> {
+        self.engine.tissue().map(|t| t.dihedral_degrees())
+    }
+
     /// Poses of all instruments' colliders as the solver gets them after `step`.
     pub fn poses(&self, step: u32) -> Vec<Pose> {
         (0..self.tools.len())

@@ -331,6 +331,7 @@ impl TissueEngine {
             tissue_s: f.tissue_time_s,
             needle_s: f.needle_time_s,
             remesh_s: f.remesh_time_s,
+            renewed_share: f.renewed_share,
         };
         (rows, Some(coupling))
     }
@@ -412,6 +413,24 @@ impl TissueEngine {
     pub(super) fn inverted(&self) -> u32 {
         let ratios = self.tissue().volume_ratios();
         ratios.iter().filter(|(_, j)| *j <= 0.0).count() as u32
+    }
+
+    /// Least and greatest dihedral angle of the mesh at rest, degrees: what remeshing has left.
+    pub(super) fn dihedral_degrees(&self) -> [f64; 2] {
+        let mesh = self.tissue().mesh();
+        let (mut least, mut most) = (1.0f64, -1.0f64);
+        for (_, t) in mesh.tets() {
+            let x = t.corners.map(|n| mesh.rest()[n as usize]);
+            // Outer normals of the faces opposite to each corner; the angle between faces is π less that between normals.
+            let n = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]]
+                .map(|[a, b, c]: [usize; 3]| (x[b] - x[a]).cross(x[c] - x[a]).normalize_or_zero());
+            for (i, j) in [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)] {
+                let cosine = -n[i].dot(n[j]);
+                least = least.min(cosine);
+                most = most.max(cosine);
+            }
+        }
+        [most, least].map(|c| c.clamp(-1.0, 1.0).acos().to_degrees())
     }
 
     /// FNV-1a over positions, velocities and accelerations.
