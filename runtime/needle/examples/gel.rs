@@ -130,7 +130,9 @@ const RUNS: [Run; 14] = [
 ];
 
 /// Which runs are held against which, marker by marker.
-const PAIRS: [[&str; 2]; 12] = [
+const PAIRS: [[&str; 2]; 14] = [
+    ["2h", "one bend"],
+    ["two bends, 2h", "two bends"],
     ["2h", "dt/4, tight"],
     ["2h, dt/2", "dt/4, tight"],
     ["one bend", "dt/4, tight"],
@@ -174,6 +176,8 @@ fn experiment(
     setup: &Setup,
 ) -> Result<(Trace, Vec<DVec3>), Box<dyn Error>> {
     let mesh = TissueMesh::from_package(package)?;
+    // Packages lie about origins of their own; what is compared lies in the patient's frame.
+    let origin = DVec3::from_array(package.info.local_origin_mm);
     let markers: Vec<DVec3> = package
         .fiducials
         .positions
@@ -208,7 +212,7 @@ fn experiment(
     for n in held {
         tissue.hold(n, [true; 3])?;
     }
-    let mouth = DVec3::new(lo.x - setup.gap_mm - 0.1, setup.entry_a_mm, 0.0);
+    let mouth = DVec3::new(lo.x - setup.gap_mm - 0.1, setup.entry_a_mm - origin.y, -origin.z);
     let rod = Rod::in_sleeve(
         setup.needle.clone(),
         mouth,
@@ -283,7 +287,11 @@ fn experiment(
     }
     times.sort_by(f64::total_cmp);
     trace.median_ms = times[times.len() / 2];
-    Ok((trace, markers))
+    let lines = [&mut trace.tips, &mut trace.cut, &mut trace.way, &mut trace.shape];
+    for p in lines.into_iter().chain(&mut trace.markers).flatten() {
+        *p += origin;
+    }
+    Ok((trace, markers.iter().map(|m| *m + origin).collect()))
 }
 
 /// World positions of points of the material: by the tet that holds each, or comes nearest to.
