@@ -10,6 +10,9 @@ use std::path::{Path, PathBuf};
 /// Dihedral angles count from this many steps after each puncture, as in the paper.
 const AFTER_PUNCTURE: u32 = 20;
 
+/// The paper's range of dihedral angles, degrees.
+const PAPER_DEGREES: [f64; 2] = [10.3, 160.0];
+
 /// Steps at whose end lazy and exact Jacobians are compared: the paper's four seconds.
 const COMPARED_AT: u32 = 200;
 
@@ -44,7 +47,7 @@ pub fn bench_needle(
             time_row(&mut times, &name, &session, &coupled);
             // Looking at angles would disturb times.
             let (_, angles) = whole(device, scene.clone(), &loaded, progress, &name, true)?;
-            solving_row(&mut solving, &name, &coupled, angles);
+            solving_row(&mut solving, &name, &coupled, &angles);
             if !lazy.is_empty() {
                 lazy_rows(&mut savings, &name, device, &scene, &loaded, lazy, progress)?;
             }
@@ -55,9 +58,11 @@ pub fn bench_needle(
          | scene | tets | nodes | steps | total | friction states | tissue | needle | remeshing |\n|---{}|\n{times}\n\
          trials and iterations of a solve: least / mean / most\n\n\
          | scene | trials | settled within the trials, % | iterations | most parts | dihedral angles from {AFTER_PUNCTURE} steps after each \
-         puncture |\n|---{}|\n{solving}",
+         puncture | steps within {}–{}, % |\n|---{}|\n{solving}",
         "|---".repeat(8),
-        "|---".repeat(5)
+        PAPER_DEGREES[0],
+        PAPER_DEGREES[1],
+        "|---".repeat(6)
     );
     if !lazy.is_empty() {
         let _ = write!(
@@ -77,7 +82,10 @@ fn file_name(path: &Path) -> String {
         .into_owned()
 }
 
-/// A session run to its end, and the least and greatest dihedral angle if they are asked for.
+/// Least and greatest dihedral angle of each step that counts, degrees.
+type Angles = Vec<[f64; 2]>;
+
+/// A session run to its end, and the angles if they are asked for.
 fn whole(
     device: &Device,
     scene: Scene,
@@ -85,11 +93,11 @@ fn whole(
     progress: &Progress,
     name: &str,
     look: bool,
-) -> Result<(Session, Option<[f64; 2]>), RehearseError> {
+) -> Result<(Session, Angles), RehearseError> {
     let mut session = Session::prepare(device, scene, loaded, progress)?;
     let steps = session.timeline().steps();
     progress.start(name, u64::from(steps));
-    let mut angles: Option<[f64; 2]> = None;
+    let mut angles = Angles::new();
     let mut entered: Option<u32> = None;
     for step in 1..=steps {
         let row = session.advance_scripted()?;
@@ -97,11 +105,7 @@ fn whole(
             entered = Some(step);
         }
         if look && entered.is_some_and(|e| step >= e + AFTER_PUNCTURE) {
-            let [lo, hi] = session.dihedral_degrees().unwrap_or([180.0, 0.0]);
-            angles = Some(match angles {
-                Some([a, b]) => [a.min(lo), b.max(hi)],
-                None => [lo, hi],
-            });
+            angles.extend(session.dihedral_degrees());
         }
         progress.step(u64::from(step));
     }
@@ -142,7 +146,7 @@ fn time_row(out: &mut String, name: &str, session: &Session, steps: &[(Coupling,
     out.push('\n');
 }
 
-fn solving_row(out: &mut String, name: &str, steps: &[(Coupling, f64)], angles: Option<[f64; 2]>) {
+fn solving_row(out: &mut String, name: &str, steps: &[(Coupling, f64)], angles: &[[f64; 2]]) {
     let spread =
         |get: &dyn Fn(&Coupling) -> f64| Spread::of(&steps.iter().map(|s| get(&s.0)).collect::<Vec<_>>());
     let trials = spread(&|c| c.trials.into());
@@ -163,9 +167,17 @@ fn solving_row(out: &mut String, name: &str, steps: &[(Coupling, f64)], angles: 
         solves.max,
         parts.max
     );
-    let _ = match angles {
-        Some([lo, hi]) => writeln!(out, " {lo:.1}–{hi:.1} |"),
-        None => writeln!(out, " – |"),
+    let lo = angles.iter().map(|a| a[0]).fold(f64::INFINITY, f64::min);
+    let hi = angles.iter().map(|a| a[1]).fold(f64::NEG_INFINITY, f64::max);
+    let [least, most] = PAPER_DEGREES;
+    let within = angles.iter().filter(|a| a[0] >= least && a[1] <= most).count();
+    let _ = match angles.is_empty() {
+        false => writeln!(
+            out,
+            " {lo:.1}–{hi:.1} | {:.1} |",
+            100.0 * within as f64 / angles.len() as f64
+        ),
+        true => writeln!(out, " – | – |"),
     };
 }
 
@@ -260,10 +272,10 @@ mod tests {
         let (median, most) = middle_and_most(found.iter().map(|s| 1e3 * s.1).collect());
         assert!((median - 5.0).abs() < 1e-9 && (most - 9.0).abs() < 1e-9);
         let mut text = String::new();
-        solving_row(&mut text, "s", &found, Some([11.25, 155.0]));
+        solving_row(&mut text, "s", &found, &[[11.25, 155.0], [9.0, 150.0]]);
         assert_eq!(
             text,
-            "| s | 1 / 1.250 / 2 | 75.00 (3 of 4) | 15 / 15.0 / 15 | 1 | 11.2–155.0 |\n"
+            "| s | 1 / 1.250 / 2 | 75.00 (3 of 4) | 15 / 15.0 / 15 | 1 | 9.0–155.0 | 50.0 |\n"
         );
     }
 }
