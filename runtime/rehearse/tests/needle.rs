@@ -255,3 +255,25 @@ fn what_a_needle_cannot_do_is_told() {
     let err = fails(&format!("{SCENE}\n[[hold]]\nstructure = 'tumour'\n"));
     assert!(err.contains("which is rigid (bone)"), "{err}");
 }
+
+/// A tip that would pass several tets in a step: the step is made in parts.
+#[test]
+fn a_thrust_is_made_in_parts() {
+    let d = Dir::new();
+    let most = |speed: &str, out: &str| {
+        d.write("n.toml", &SCENE.replace("insertion_mm_s = 8", speed));
+        d.ok(&format!("run n.toml --package k.palpate -o {out} -q"));
+        let all = rows(&d.read(&format!("{out}/needle.csv")));
+        assert!(all.iter().any(|r| r.text("events").contains("has left")));
+        let parts = all.iter().map(|r| r.number("substeps")).fold(0.0, f64::max);
+        let deepest = all.iter().map(|r| r.number("inside_mm")).fold(0.0, f64::max);
+        (parts, deepest)
+    };
+    let (slow, fast) = (
+        most("insertion_mm_s = 8", "slow"),
+        most("insertion_mm_s = 200", "fast"),
+    );
+    assert!(slow.0 < 4.0 && fast.0 >= 4.0, "{slow:?} {fast:?}");
+    // As deep as when it is pushed slowly.
+    assert!((slow.1 - fast.1).abs() < 0.5, "{slow:?} {fast:?}");
+}
