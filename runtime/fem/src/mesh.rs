@@ -212,6 +212,52 @@ impl TissueMesh {
             .collect()
     }
 
+    /// Least and greatest dihedral angle of the mesh at rest, degrees.
+    pub fn dihedral_degrees(&self) -> (f64, f64) {
+        let (mut least, mut most) = (1.0f64, -1.0f64);
+        for (_, t) in self.tets() {
+            let x = t.corners.map(|n| self.rest[n as usize]);
+            // Outer normals of the faces opposite to each corner; the angle between faces is π less that between normals.
+            let n = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]]
+                .map(|[a, b, c]: [usize; 3]| (x[b] - x[a]).cross(x[c] - x[a]).normalize_or_zero());
+            for (i, j) in [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)] {
+                let cosine = -n[i].dot(n[j]);
+                least = least.min(cosine);
+                most = most.max(cosine);
+            }
+        }
+        let degrees = |c: f64| c.clamp(-1.0, 1.0).acos().to_degrees();
+        (degrees(most), degrees(least))
+    }
+
+    /// Nodes of each piece of the mesh, ascending; pieces by their least node. Tets that share a node are of one piece; nodes
+    /// without a tet are of none.
+    pub fn pieces(&self) -> Vec<Vec<u32>> {
+        let mut seen = vec![false; self.rest.len()];
+        let mut pieces = Vec::new();
+        for start in 0..self.rest.len() as u32 {
+            if seen[start as usize] || self.around(start).is_empty() {
+                continue;
+            }
+            seen[start as usize] = true;
+            let mut piece = vec![start];
+            let mut next = 0;
+            while let Some(&node) = piece.get(next) {
+                next += 1;
+                for t in self.around(node).iter().filter_map(|e| self.tet(e.tet)) {
+                    for c in t.corners {
+                        if !std::mem::replace(&mut seen[c as usize], true) {
+                            piece.push(c);
+                        }
+                    }
+                }
+            }
+            piece.sort_unstable();
+            pieces.push(piece);
+        }
+        pieces
+    }
+
     /// Adds a node at a rest position and returns its slot.
     pub(crate) fn add_node(&mut self, rest: DVec3) -> Result<u32, FemError> {
         check_point("new node", self.rest.len(), rest)?;
@@ -350,5 +396,33 @@ fn check_shape(tet: usize, x: [DVec3; 4]) -> Result<(), FemError> {
             "a positive volume: order its corners so that (b−a)·((c−a)×(d−a)) > 0, or drop the flat tet"
                 .into(),
         ))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A corner tet has 90° at three edges and 54.7° at the others; a second one far away is a piece of its own.
+    #[test]
+    fn angles_and_pieces_of_two_corner_tets() {
+        let mut points = vec![[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 2.0]];
+        points.extend(points.clone().iter().map(|p| [p[0] + 9.0, p[1], p[2]]));
+        let mut mesh = TissueMesh::new(&points, &[[0, 1, 2, 3], [4, 5, 6, 7]], &[0, 0]).unwrap();
+        let (least, most) = mesh.dihedral_degrees();
+        assert!(
+            (least - (1.0 / 3.0f64.sqrt()).acos().to_degrees()).abs() < 1e-12,
+            "{least}"
+        );
+        assert!((most - 90.0).abs() < 1e-12, "{most}");
+        let pieces = mesh.pieces();
+        assert_eq!(pieces.iter().map(Vec::len).collect::<Vec<_>>(), [4, 4]);
+        // A bridge of one shared node joins them.
+        let at = |x: f64| mesh.rest().iter().position(|p| *p == DVec3::X * x).unwrap() as u32;
+        let (a, b) = (at(2.0), at(9.0));
+        let up = mesh.add_node(DVec3::new(5.0, 0.0, 4.0)).unwrap();
+        let aside = mesh.add_node(DVec3::new(5.0, 4.0, 0.0)).unwrap();
+        assert!(mesh.add_tet([a, b, aside, up], 0).is_ok());
+        assert_eq!(mesh.pieces().len(), 1);
     }
 }

@@ -271,7 +271,7 @@ fn experiment(
             trace.tips.push(n.tip);
         }
         if since_puncture.is_some_and(|p| step > p + 20) && step % 5 == 0 {
-            let (low, high) = dihedral(s.tissue().mesh());
+            let (low, high) = s.tissue().mesh().dihedral_degrees();
             trace.dihedral = (trace.dihedral.0.min(low), trace.dihedral.1.max(high));
         }
         if step + 1 == inwards + turning {
@@ -319,26 +319,6 @@ fn place(tissue: &Simulation, points: &[DVec3]) -> Vec<DVec3> {
         }
     }
     best.into_iter().map(|b| b.1).collect()
-}
-
-/// Least and largest dihedral angle of the mesh at rest, degrees.
-fn dihedral(mesh: &TissueMesh) -> (f64, f64) {
-    let (mut lo, mut hi) = (180.0f64, 0.0f64);
-    for (_, t) in mesh.tets() {
-        let x = t.corners.map(|n| mesh.rest()[n as usize]);
-        let g = glam::DMat3::from_cols(x[1] - x[0], x[2] - x[0], x[3] - x[0])
-            .inverse()
-            .transpose();
-        let mut n = [-(g.x_axis + g.y_axis + g.z_axis), g.x_axis, g.y_axis, g.z_axis];
-        n = n.map(DVec3::normalize);
-        for i in 1..4 {
-            for j in 0..i {
-                let angle = (-n[i].dot(n[j])).clamp(-1.0, 1.0).acos().to_degrees();
-                (lo, hi) = (lo.min(angle), hi.max(angle));
-            }
-        }
-    }
-    (lo, hi)
 }
 
 /// Radius of the circle that fits points of a plane best (R, A), mm, by least squares of x² + y² = 2·c·x + r² − c².

@@ -170,28 +170,6 @@ fn organ(path: &str, setup: &Setup) -> Result<(Simulation, DVec3, DVec3), Box<dy
     Ok((tissue, entry, along))
 }
 
-/// Least and largest dihedral angle of the mesh at rest, degrees.
-fn dihedral(mesh: &TissueMesh) -> (f64, f64) {
-    let (mut lo, mut hi) = (180.0f64, 0.0f64);
-    for (_, t) in mesh.tets() {
-        let x = t.corners.map(|n| mesh.rest()[n as usize]);
-        for (i, j, k, l) in [
-            (0, 1, 2, 3),
-            (0, 2, 1, 3),
-            (0, 3, 1, 2),
-            (1, 2, 0, 3),
-            (1, 3, 0, 2),
-            (2, 3, 0, 1),
-        ] {
-            let e = (x[j] - x[i]).normalize();
-            let (a, b) = (x[k] - x[i], x[l] - x[i]);
-            let angle = (a - e * e.dot(a)).angle_between(b - e * e.dot(b)).to_degrees();
-            (lo, hi) = (lo.min(angle), hi.max(angle));
-        }
-    }
-    (lo, hi)
-}
-
 fn spread(name: &str, mut values: Vec<f64>) {
     values.sort_by(f64::total_cmp);
     let n = values.len().max(1);
@@ -220,7 +198,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let (nodes, tets) = (tissue.mesh().node_slots(), tissue.mesh().tet_slots());
     println!(
         "{nodes} nodes, {tets} tets, dihedral {:.1?}",
-        dihedral(tissue.mesh())
+        tissue.mesh().dihedral_degrees()
     );
     let mouth = entry - along * 32.0;
     let rod = Rod::in_sleeve(
@@ -300,7 +278,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             if let Some(count) = &mut since_puncture {
                 *count += 1;
                 if *count > 20 && step % 5 == 0 {
-                    let (lo, hi) = dihedral(s.tissue().mesh());
+                    let (lo, hi) = s.tissue().mesh().dihedral_degrees();
                     (least, most) = (least.min(lo), most.max(hi));
                 }
             }
@@ -367,7 +345,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             .filter(|&n| s.tissue().mesh().has_node(n))
             .count(),
         s.tissue().mesh().tets().count(),
-        dihedral(s.tissue().mesh()),
+        s.tissue().mesh().dihedral_degrees(),
         s.tissue().strain_energy_nj()
     );
     Ok(())

@@ -3,7 +3,7 @@
 //! `cargo run --release -p palpate-needle --example track -- [package.palpate] [mm per step] [needles]`; without a package, or for `block`, a
 //! block of 13 182 tets. Ends with an error if a mesh is not what it was once a needle has left.
 
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DQuat, DVec3};
 use palpate_fem::{Material, NodeState, Settings, Simulation, TissueMesh};
 use palpate_needle::{Operation, Track, TrackParams, locate};
 use palpate_package::ModelPackage;
@@ -24,7 +24,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     let regions = mesh.tets().map(|(_, t)| t.region).max().unwrap_or(0);
     println!("{} tets, {} regions", mesh.tets().count(), regions + 1);
-    println!("angles at the start {:.1?}", angles(&mesh));
+    println!("angles at the start {:.1?}", mesh.dihedral_degrees());
     let mut total = BTreeMap::new();
     let (mut times, mut least, mut most) = (Vec::new(), 180.0f64, 0.0f64);
     for needle in 0..needles {
@@ -59,7 +59,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             *counts.entry("pierced".into()).or_default() += report.pierced;
             since_hole = if report.pierced > 0 { 0 } else { since_hole + 1 };
             if since_hole >= 20 {
-                let (low, high) = angles(sim.mesh());
+                let (low, high) = sim.mesh().dihedral_degrees();
                 worst = (worst.0.min(low), worst.1.max(high));
             }
         }
@@ -141,26 +141,6 @@ fn state(sim: &Simulation, at: DVec3) -> Option<NodeState> {
         position: at,
         ..NodeState::default()
     })
-}
-
-/// Smallest and largest dihedral angle, degrees.
-fn angles(mesh: &TissueMesh) -> (f64, f64) {
-    let (mut least, mut most) = (180.0f64, 0.0f64);
-    for (_, t) in mesh.tets() {
-        let x = t.corners.map(|n| mesh.rest()[n as usize]);
-        let g = DMat3::from_cols(x[1] - x[0], x[2] - x[0], x[3] - x[0])
-            .inverse()
-            .transpose();
-        let mut n = [-(g.x_axis + g.y_axis + g.z_axis), g.x_axis, g.y_axis, g.z_axis];
-        n = n.map(DVec3::normalize);
-        for i in 1..4 {
-            for j in 0..i {
-                let angle = (-n[i].dot(n[j])).clamp(-1.0, 1.0).acos().to_degrees();
-                (least, most) = (least.min(angle), most.max(angle));
-            }
-        }
-    }
-    (least, most)
 }
 
 /// 13³ cubes of 4 mm, each cut into six tets.

@@ -273,7 +273,8 @@ impl Track {
         let mut report = TrackReport::default();
         let start = self.tip()?;
         let was = at_interface(sim, start);
-        self.forward(sim, tip, 0, &mut MOST_PARTS.clone(), &mut report)?;
+        let mut parts = MOST_PARTS;
+        self.forward(sim, tip, 0, &mut parts, &mut report)?;
         let report = self.finish(sim, tip, report)?;
         Ok(TrackReport {
             pierced: report
@@ -316,7 +317,8 @@ impl Track {
             }
             report.fallbacks += 1;
             self.drop_tip(sim, &mut report)?;
-            self.forward(sim, tip, MOST_HALVINGS - 1, &mut MOST_PARTS.clone(), &mut report)?;
+            let mut parts = MOST_PARTS;
+            self.forward(sim, tip, MOST_HALVINGS - 1, &mut parts, &mut report)?;
             break;
         }
         self.finish(sim, tip, report)

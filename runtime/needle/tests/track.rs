@@ -40,7 +40,7 @@ fn in_and_out(turn_deg: f64, step_mm: f64, steps: usize) {
             report.deviation_mm < 1e-12 && report.fallbacks == 0,
             "{k} {report:?}"
         );
-        let (least, most) = watch.angles(&sim);
+        let (least, most) = sim.mesh().dihedral_degrees();
         if k >= 20 {
             assert!(least > 10.3 && most < 160.0, "{k}: {least} {most}");
         }

@@ -1,7 +1,7 @@
 //! Blocks of tets, and what must hold of them while a needle is inside.
 #![allow(dead_code)]
 
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 use palpate_fem::{Material, NodeState, Settings, Simulation, TissueMesh};
 use palpate_needle::{Track, locate};
 use std::collections::BTreeMap;
@@ -198,27 +198,5 @@ impl Watch {
     pub fn check_restored(&self, sim: &Simulation) {
         assert!(connectivity(sim).unwrap() == self.tets, "connectivity differs");
         assert!(originals(sim) == self.rest, "places differ");
-    }
-
-    /// Smallest and largest dihedral angle, degrees.
-    pub fn angles(&self, sim: &Simulation) -> (f64, f64) {
-        let rest = sim.mesh().rest();
-        let (mut least, mut most) = (180.0f64, 0.0f64);
-        for (_, t) in sim.mesh().tets() {
-            let x = t.corners.map(|n| rest[n as usize]);
-            let g = DMat3::from_cols(x[1] - x[0], x[2] - x[0], x[3] - x[0])
-                .inverse()
-                .transpose();
-            let mut n = [-(g.x_axis + g.y_axis + g.z_axis), g.x_axis, g.y_axis, g.z_axis];
-            n = n.map(DVec3::normalize);
-            for i in 1..4 {
-                for j in 0..i {
-                    let angle = (-n[i].dot(n[j])).clamp(-1.0, 1.0).acos().to_degrees();
-                    least = least.min(angle);
-                    most = most.max(angle);
-                }
-            }
-        }
-        (least, most)
     }
 }

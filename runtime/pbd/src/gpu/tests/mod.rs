@@ -15,14 +15,13 @@ fn block(dims: [usize; 3], spacing: f32) -> SoftBody {
     SoftBody::from_raw(&common::shaken_block(dims, spacing, 0.6, 0.02)).expect("block")
 }
 
-/// An open surface of hills and dales as wide as particles, so that contacts lie on faces, edges and vertices.
-fn bumpy() -> TriangleMesh {
+/// An open surface over 17 × 17 places 3 mm apart, of the given heights in mm.
+fn heights(height: impl Fn(u32, u32) -> f32) -> TriangleMesh {
     let n = 16u32;
     let mut mesh = TriangleMesh::default();
     for j in 0..=n {
         for i in 0..=n {
-            let height = 0.9 * ((i * 7 + j * 11) % 5) as f32 / 5.0;
-            mesh.vertices.push([3.0 * i as f32, height, 3.0 * j as f32]);
+            mesh.vertices.push([3.0 * i as f32, height(i, j), 3.0 * j as f32]);
         }
     }
     for j in 0..n {
@@ -35,25 +34,16 @@ fn bumpy() -> TriangleMesh {
     mesh
 }
 
-/// An open surface of valleys and ridges, steep ones and slight ones, symmetric where heights repeat.
+/// Hills and dales as wide as particles, so that contacts lie on faces, edges and vertices.
+fn bumpy() -> TriangleMesh {
+    heights(|i, j| 0.9 * ((i * 7 + j * 11) % 5) as f32 / 5.0)
+}
+
+/// Valleys and ridges, steep ones and slight ones, symmetric where heights repeat.
 fn furrowed() -> TriangleMesh {
-    let n = 16u32;
-    let mut mesh = TriangleMesh::default();
-    for j in 0..=n {
-        for i in 0..=n {
-            let height = [0.0, 1.5, 0.5, 1.5, 0.0, 0.25][(i + 2 * (j / 4)) as usize % 6]
-                + [0.0, 0.5, 0.0][j as usize % 3];
-            mesh.vertices.push([3.0 * i as f32, height, 3.0 * j as f32]);
-        }
-    }
-    for j in 0..n {
-        for i in 0..n {
-            let a = i + (n + 1) * j;
-            mesh.triangles
-                .extend([[a, a + n + 1, a + 1], [a + 1, a + n + 1, a + n + 2]]);
-        }
-    }
-    mesh
+    heights(|i, j| {
+        [0.0, 1.5, 0.5, 1.5, 0.0, 0.25][(i + 2 * (j / 4)) as usize % 6] + [0.0, 0.5, 0.0][j as usize % 3]
+    })
 }
 
 /// Two blocks, one on the other, among solids of every shape.

@@ -23,6 +23,30 @@ pub(super) fn held(scene: &Scene, regions: &[String], mesh: &TissueMesh, origin:
     out
 }
 
+/// A warning for each piece of the mesh of which nothing is held; `held` ascending.
+pub(super) fn floating(mesh: &TissueMesh, held: &[u32], origin: DVec3) -> Vec<String> {
+    if held.is_empty() {
+        return vec!["Nothing holds the tissue: it floats away from what presses it. Add a [[hold]].".into()];
+    }
+    let free = |piece: &Vec<u32>| piece.iter().all(|n| held.binary_search(n).is_err());
+    mesh.pieces()
+        .into_iter()
+        .filter(free)
+        .map(|piece| {
+            let sum: DVec3 = piece.iter().map(|&n| mesh.rest()[n as usize]).sum();
+            let at = sum / piece.len() as f64 + origin;
+            format!(
+                "Nothing holds a piece of the tissue of {} nodes around ({:.1}, {:.1}, {:.1}) mm: it floats away from what presses it. \
+                 Add a [[hold]].",
+                piece.len(),
+                at.x,
+                at.y,
+                at.z
+            )
+        })
+        .collect()
+}
+
 /// Nodes of faces that look down and lie within the share of the height from the lowest point: what a mould bears.
 fn bedded(mesh: &TissueMesh, down: DVec3, share: f64) -> Vec<u32> {
     let height = |n: u32| -mesh.rest()[n as usize].dot(down);
@@ -147,5 +171,30 @@ mod tests {
         };
         assert_eq!(with("none", vec![cube]), [20.0, 20.0, 30.0, 30.0, 40.0, 40.0]);
         assert_eq!(with("cradle", vec![bone]).len(), 12);
+    }
+
+    /// Of two bars only one is held: the other is told with its middle.
+    #[test]
+    fn a_piece_that_nothing_holds_is_told() {
+        let one = bar();
+        let n = one.rest().len() as u32;
+        let mut points: Vec<[f64; 3]> = one.rest().iter().map(|p| p.to_array()).collect();
+        let mut tets: Vec<[u32; 4]> = one.tets().map(|(_, t)| t.corners).collect();
+        points.extend(one.rest().iter().map(|p| (*p + DVec3::X * 50.0).to_array()));
+        tets.extend(tets.clone().iter().map(|t| t.map(|c| c + n)));
+        let mesh = TissueMesh::new(&points, &tets, &vec![0; tets.len()]).unwrap();
+        let near = |mesh: &TissueMesh, most: f64| -> Vec<u32> {
+            (0..2 * n)
+                .filter(|&k| mesh.rest()[k as usize].x <= most)
+                .collect()
+        };
+        let told = floating(&mesh, &near(&mesh, 0.0), DVec3::new(0.0, 0.0, 100.0));
+        assert_eq!(told.len(), 1, "{told:?}");
+        assert!(
+            told[0].contains("20 nodes around (55.0, 20.0, 105.0) mm"),
+            "{told:?}"
+        );
+        assert!(floating(&mesh, &near(&mesh, 55.0), DVec3::ZERO).is_empty());
+        assert!(floating(&mesh, &[], DVec3::ZERO)[0].starts_with("Nothing holds the tissue"));
     }
 }

@@ -103,10 +103,8 @@ impl TissueEngine {
         for &n in &held {
             sim.hold(n, [true; 3])?;
         }
-        if held.is_empty() && scene.support != "plane" {
-            warnings.push(
-                "Nothing holds the tissue: it floats away from what presses it. Add a [[hold]].".into(),
-            );
+        if scene.support != "plane" {
+            warnings.extend(holds::floating(sim.mesh(), &held, origin));
         }
         let mut solids = Vec::new();
         for c in colliders {
@@ -417,20 +415,7 @@ impl TissueEngine {
 
     /// Least and greatest dihedral angle of the mesh at rest, degrees: what remeshing has left.
     pub(super) fn dihedral_degrees(&self) -> [f64; 2] {
-        let mesh = self.tissue().mesh();
-        let (mut least, mut most) = (1.0f64, -1.0f64);
-        for (_, t) in mesh.tets() {
-            let x = t.corners.map(|n| mesh.rest()[n as usize]);
-            // Outer normals of the faces opposite to each corner; the angle between faces is π less that between normals.
-            let n = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]]
-                .map(|[a, b, c]: [usize; 3]| (x[b] - x[a]).cross(x[c] - x[a]).normalize_or_zero());
-            for (i, j) in [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)] {
-                let cosine = -n[i].dot(n[j]);
-                least = least.min(cosine);
-                most = most.max(cosine);
-            }
-        }
-        [most, least].map(|c| c.clamp(-1.0, 1.0).acos().to_degrees())
+        self.tissue().mesh().dihedral_degrees().into()
     }
 
     /// FNV-1a over positions, velocities and accelerations.
