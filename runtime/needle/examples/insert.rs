@@ -7,6 +7,7 @@
 
 use glam::DVec3;
 use palpate_fem::{Law, Material, Settings, Simulation, TissueMesh, TissueTable};
+use palpate_fixtures::tets::{TetBlock, tet_block};
 use palpate_needle::{
     BaseMotion, Event, Insertion, InsertionParams, InsertionReport, Membrane, NeedleFriction, NeedleParams,
     Rod,
@@ -75,41 +76,11 @@ impl Default for Setup {
 
 /// A cube of gel held at its bottom and back; entry point and direction.
 fn gel_block(setup: &Setup) -> Result<(Simulation, DVec3, DVec3), Box<dyn Error>> {
-    let cells = setup.cells;
-    let at = |c: [usize; 3]| ((c[2] * (cells + 1) + c[1]) * (cells + 1) + c[0]) as u32;
-    let mut points = Vec::new();
-    for k in 0..=cells {
-        for j in 0..=cells {
-            points.extend((0..=cells).map(|i| [i, j, k].map(|c| 5.0 * c as f64)));
-        }
-    }
-    let mut tets = Vec::new();
-    for cube in 0..cells.pow(3) {
-        let corner = [cube % cells, cube / cells % cells, cube / cells / cells];
-        for (path, odd) in [
-            ([0, 1, 2], false),
-            ([1, 2, 0], false),
-            ([2, 0, 1], false),
-            ([0, 2, 1], true),
-            ([2, 1, 0], true),
-            ([1, 0, 2], true),
-        ] {
-            let mut c = corner;
-            let mut tet = [at(c); 4];
-            for (n, axis) in path.into_iter().enumerate() {
-                c[axis] += 1;
-                tet[n + 1] = at(c);
-            }
-            if odd {
-                tet.swap(2, 3);
-            }
-            tets.push(tet);
-        }
-    }
+    let side = 5.0 * setup.cells as f64;
+    let TetBlock { points, tets } = tet_block([0.0; 3], [side; 3], [setup.cells; 3]);
     let mesh = TissueMesh::new(&points, &tets, &vec![0; tets.len()])?;
     let mut material = TissueTable::default().get("gel")?.material.clone();
     material.law = setup.law.unwrap_or(material.law);
-    let side = 5.0 * cells as f64;
     let fixed: Vec<u32> = (0..mesh.node_slots() as u32)
         .filter(|&n| {
             let u = mesh.rest()[n as usize];

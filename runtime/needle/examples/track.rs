@@ -5,6 +5,7 @@
 
 use glam::{DQuat, DVec3};
 use palpate_fem::{Material, NodeState, Settings, Simulation, TissueMesh};
+use palpate_fixtures::tets::{TetBlock, tet_block};
 use palpate_needle::{Operation, Track, TrackParams, locate};
 use palpate_package::ModelPackage;
 use std::collections::BTreeMap;
@@ -145,36 +146,6 @@ fn state(sim: &Simulation, at: DVec3) -> Option<NodeState> {
 
 /// 13³ cubes of 4 mm, each cut into six tets.
 fn block() -> Result<TissueMesh, palpate_fem::FemError> {
-    let n = 13;
-    let at = |c: [usize; 3]| ((c[2] * (n + 1) + c[1]) * (n + 1) + c[0]) as u32;
-    let (mut points, mut tets) = (Vec::new(), Vec::new());
-    for k in 0..=n {
-        for j in 0..=n {
-            for i in 0..=n {
-                points.push([i, j, k].map(|x| 4.0 * x as f64));
-            }
-        }
-    }
-    for cell in 0..n * n * n {
-        for (path, even) in [
-            ([0, 1, 2], true),
-            ([1, 2, 0], true),
-            ([2, 0, 1], true),
-            ([0, 2, 1], false),
-            ([2, 1, 0], false),
-            ([1, 0, 2], false),
-        ] {
-            let mut c = [cell % n, cell / n % n, cell / n / n];
-            let mut tet = [at(c); 4];
-            for (k, axis) in path.into_iter().enumerate() {
-                c[axis] += 1;
-                tet[k + 1] = at(c);
-            }
-            if !even {
-                tet.swap(2, 3);
-            }
-            tets.push(tet);
-        }
-    }
+    let TetBlock { points, tets } = tet_block([0.0; 3], [52.0; 3], [13; 3]);
     TissueMesh::new(&points, &tets, &vec![0; tets.len()])
 }

@@ -1,6 +1,7 @@
 //! A small model made in code: a block of 10 × 8 × 6 mm with a tumour block inside, on a support plate.
 #![allow(dead_code)]
 
+use palpate_fixtures::tets::tet_block;
 use palpate_package::*;
 use serde_json::json;
 use std::collections::BTreeMap;
@@ -16,52 +17,20 @@ pub struct Grid {
     pub cell: Vec<[usize; 3]>,
 }
 
-/// Cubes of `edge` mm cut into six tets each around the main diagonal (Kuhn).
+/// Cubes of `edge` mm cut into six tets each around the main diagonal.
 pub fn kuhn(lo: [f64; 3], n: [usize; 3], edge: f64) -> Grid {
-    let id = |i: usize, j: usize, k: usize| (i + (n[0] + 1) * (j + (n[1] + 1) * k)) as u32;
-    let mut g = Grid {
-        vertices: vec![],
-        tets: vec![],
-        cell: vec![],
-    };
-    for k in 0..=n[2] {
-        for j in 0..=n[1] {
-            for i in 0..=n[0] {
-                g.vertices.push([
-                    lo[0] + edge * i as f64,
-                    lo[1] + edge * j as f64,
-                    lo[2] + edge * k as f64,
-                ]);
-            }
-        }
+    let block = tet_block(lo, n.map(|n| n as f64 * edge), n);
+    let cell = (0..block.tets.len())
+        .map(|t| {
+            let c = t / 6;
+            [c % n[0], c / n[0] % n[1], c / n[0] / n[1]]
+        })
+        .collect();
+    Grid {
+        vertices: block.points,
+        tets: block.tets,
+        cell,
     }
-    for k in 0..n[2] {
-        for j in 0..n[1] {
-            for i in 0..n[0] {
-                for (axes, even) in [
-                    ([0, 1, 2], true),
-                    ([1, 2, 0], true),
-                    ([2, 0, 1], true),
-                    ([0, 2, 1], false),
-                    ([2, 1, 0], false),
-                    ([1, 0, 2], false),
-                ] {
-                    let mut at = [i, j, k];
-                    let mut t = [id(i, j, k); 4];
-                    for (s, &a) in axes.iter().enumerate() {
-                        at[a] += 1;
-                        t[s + 1] = id(at[0], at[1], at[2]);
-                    }
-                    if !even {
-                        t.swap(2, 3);
-                    }
-                    g.tets.push(t);
-                    g.cell.push([i, j, k]);
-                }
-            }
-        }
-    }
-    g
 }
 
 /// Outer faces of the chosen tets as an indexed surface.

@@ -2,6 +2,7 @@ use super::*;
 use crate::element::{Element, damping_rotation};
 use crate::material::Tangent;
 use crate::mesh::TissueMesh;
+use palpate_fixtures::tets::{TetBlock, tet_block};
 
 /// All forces and the whole matrix by the plain one-tet formulas, as a judge of [`Elements`].
 fn plain(
@@ -69,43 +70,9 @@ fn noise(seed: &mut u64) -> f64 {
     (*seed >> 11) as f64 / 2f64.powi(53) - 0.5
 }
 
-/// A lattice of 3 × 2 × 2 cubes of six tets, tets of five laws in it.
+/// A block of 3 × 2 × 2 cubes, tets of five laws in it.
 fn body() -> (TissueMesh, Vec<Material>) {
-    let mut points = Vec::new();
-    for k in 0..3 {
-        for j in 0..3 {
-            for i in 0..4 {
-                points.push([f64::from(i), f64::from(j), f64::from(k)]);
-            }
-        }
-    }
-    let at = |c: [u32; 3]| (c[2] * 3 + c[1]) * 4 + c[0];
-    let mut tets = Vec::new();
-    for k in 0..2 {
-        for j in 0..2 {
-            for i in 0..3 {
-                for (path, odd) in [
-                    ([0, 1, 2], false),
-                    ([1, 2, 0], false),
-                    ([2, 0, 1], false),
-                    ([0, 2, 1], true),
-                    ([2, 1, 0], true),
-                    ([1, 0, 2], true),
-                ] {
-                    let mut c = [i, j, k];
-                    let mut tet = [at(c); 4];
-                    for (n, axis) in path.into_iter().enumerate() {
-                        c[axis] += 1;
-                        tet[n + 1] = at(c);
-                    }
-                    if odd {
-                        tet.swap(2, 3);
-                    }
-                    tets.push(tet);
-                }
-            }
-        }
-    }
+    let TetBlock { points, tets } = tet_block([0.0; 3], [3.0, 2.0, 2.0], [3, 2, 2]);
     let regions: Vec<u16> = (0..tets.len()).map(|t| (t * t % 5) as u16).collect();
     let materials = [
         Law::Linear,

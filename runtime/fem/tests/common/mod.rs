@@ -3,44 +3,12 @@
 
 use glam::DVec3;
 use palpate_fem::{Material, Settings, Simulation, TissueMesh};
+use palpate_fixtures::tets::tet_block;
 
-/// A box of `cells` cubes, each cut into six tets around its diagonal, from `size` mm; corners at the origin.
+/// A box of cells from the origin to `size` mm.
 pub fn bar(size: [f64; 3], cells: [usize; 3]) -> (Vec<[f64; 3]>, Vec<[u32; 4]>) {
-    let [nx, ny, nz] = cells;
-    let at = |i: usize, j: usize, k: usize| ((k * (ny + 1) + j) * (nx + 1) + i) as u32;
-    let mut points = Vec::new();
-    for k in 0..=nz {
-        for j in 0..=ny {
-            for i in 0..=nx {
-                points.push([
-                    size[0] * i as f64 / nx as f64,
-                    size[1] * j as f64 / ny as f64,
-                    size[2] * k as f64 / nz as f64,
-                ]);
-            }
-        }
-    }
-    let mut tets = Vec::new();
-    for k in 0..nz {
-        for j in 0..ny {
-            for i in 0..nx {
-                for path in [[0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 2, 1], [2, 1, 0], [1, 0, 2]] {
-                    let mut c = [i, j, k];
-                    let mut tet = [at(c[0], c[1], c[2]); 4];
-                    for (n, axis) in path.into_iter().enumerate() {
-                        c[axis] += 1;
-                        tet[n + 1] = at(c[0], c[1], c[2]);
-                    }
-                    let p = tet.map(|n| DVec3::from_array(points[n as usize]));
-                    if (p[1] - p[0]).dot((p[2] - p[0]).cross(p[3] - p[0])) < 0.0 {
-                        tet.swap(2, 3);
-                    }
-                    tets.push(tet);
-                }
-            }
-        }
-    }
-    (points, tets)
+    let block = tet_block([0.0; 3], size, cells);
+    (block.points, block.tets)
 }
 
 /// The same box with its inner nodes shifted by up to `share` of a cell, repeatably.

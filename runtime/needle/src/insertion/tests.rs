@@ -7,40 +7,11 @@ use crate::stick_slip::{FrictionLimit, StickSlipSystem, solve_stick_slip};
 use crate::{Held, Loads, NeedleParams, NewmarkParams, StickSlipParams};
 use glam::DMat3;
 use palpate_fem::{Filter, Material, Settings, TissueMesh};
+use palpate_fixtures::tets::{TetBlock, tet_block};
 
-/// A box of cubes of six tets each, `size` mm.
+/// A box from the origin to `size` mm.
 pub(super) fn block(size: [f64; 3], cells: [usize; 3]) -> TissueMesh {
-    let [nx, ny, nz] = cells;
-    let at = |i: usize, j: usize, k: usize| ((k * (ny + 1) + j) * (nx + 1) + i) as u32;
-    let mut points = Vec::new();
-    for k in 0..=nz {
-        for j in 0..=ny {
-            for i in 0..=nx {
-                let p = [i as f64 / nx as f64, j as f64 / ny as f64, k as f64 / nz as f64];
-                points.push([p[0] * size[0], p[1] * size[1], p[2] * size[2]]);
-            }
-        }
-    }
-    let mut tets = Vec::new();
-    for k in 0..nz {
-        for j in 0..ny {
-            for i in 0..nx {
-                for path in [[0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 2, 1], [2, 1, 0], [1, 0, 2]] {
-                    let mut c = [i, j, k];
-                    let mut tet = [at(c[0], c[1], c[2]); 4];
-                    for (n, axis) in path.into_iter().enumerate() {
-                        c[axis] += 1;
-                        tet[n + 1] = at(c[0], c[1], c[2]);
-                    }
-                    let p = tet.map(|n| DVec3::from_array(points[n as usize]));
-                    if (p[1] - p[0]).dot((p[2] - p[0]).cross(p[3] - p[0])) < 0.0 {
-                        tet.swap(2, 3);
-                    }
-                    tets.push(tet);
-                }
-            }
-        }
-    }
+    let TetBlock { points, tets } = tet_block([0.0; 3], size, cells);
     TissueMesh::new(&points, &tets, &vec![0; tets.len()]).unwrap()
 }
 

@@ -3,39 +3,19 @@
 
 use glam::DVec3;
 use palpate_fem::{Material, NodeState, Settings, Simulation, TissueMesh};
+use palpate_fixtures::tets::tet_block;
 use palpate_needle::{Track, locate};
 use std::collections::BTreeMap;
 
 /// A cube of `n` cells a side, each cut into six tets around its diagonal; corner at the origin, `size` mm a side. Regions by the
 /// centroid of each tet.
 pub fn block(size: f64, n: usize, region: &dyn Fn(DVec3) -> u16) -> Simulation {
-    let at = |c: [usize; 3]| ((c[2] * (n + 1) + c[1]) * (n + 1) + c[0]) as u32;
-    let (mut points, mut tets, mut regions) = (Vec::new(), Vec::new(), Vec::new());
-    for k in 0..=n {
-        for j in 0..=n {
-            for i in 0..=n {
-                points.push([i, j, k].map(|x| size * x as f64 / n as f64));
-            }
-        }
-    }
-    for cell in 0..n * n * n {
-        for path in [[0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 2, 1], [2, 1, 0], [1, 0, 2]] {
-            let mut c = [cell % n, cell / n % n, cell / n / n];
-            let mut tet = [at(c); 4];
-            for (k, axis) in path.into_iter().enumerate() {
-                c[axis] += 1;
-                tet[k + 1] = at(c);
-            }
-            let p = tet.map(|n| DVec3::from_array(points[n as usize]));
-            if (p[1] - p[0]).dot((p[2] - p[0]).cross(p[3] - p[0])) < 0.0 {
-                tet.swap(2, 3);
-            }
-            tets.push(tet);
-            regions.push(region((p[0] + p[1] + p[2] + p[3]) / 4.0));
-        }
-    }
+    let block = tet_block([0.0; 3], [size; 3], [n; 3]);
+    let regions: Vec<u16> = (0..block.tets.len())
+        .map(|t| region(DVec3::from_array(block.middle(t))))
+        .collect();
     let most = regions.iter().copied().max().unwrap_or(0);
-    let mesh = TissueMesh::new(&points, &tets, &regions).unwrap();
+    let mesh = TissueMesh::new(&block.points, &block.tets, &regions).unwrap();
     Simulation::new(
         mesh,
         vec![Material::default(); most as usize + 1],

@@ -1,6 +1,7 @@
 //! Packages of analytic content for the tests.
 #![allow(dead_code)]
 
+use palpate_fixtures::tets::tet_block;
 use palpate_package::{
     Affine34, Clusters, Ct, Embedding, FemMesh, Fiducials, Labels, ModelPackage, PackageInfo, Particles,
     ScanInfo, Skin,
@@ -112,46 +113,9 @@ pub fn package(
 
 /// Cubes of `edge` mm from `lo`, each cut into six tets around a diagonal.
 pub fn blocks(n: [usize; 3], edge: f64, lo: [f64; 3]) -> (Vec<[f32; 3]>, Vec<[u32; 4]>) {
-    let id = |i: usize, j: usize, k: usize| (i + (n[0] + 1) * (j + (n[1] + 1) * k)) as u32;
-    let mut vertices = Vec::new();
-    for k in 0..=n[2] {
-        for j in 0..=n[1] {
-            for i in 0..=n[0] {
-                vertices.push([i, j, k].map(|v| v as f64 * edge));
-            }
-        }
-    }
-    let vertices = vertices
-        .into_iter()
-        .map(|p| std::array::from_fn(|a| (p[a] + lo[a]) as f32))
-        .collect();
-    let mut tets = Vec::new();
-    for k in 0..n[2] {
-        for j in 0..n[1] {
-            for i in 0..n[0] {
-                for (perm, even) in [
-                    ([0, 1, 2], true),
-                    ([1, 2, 0], true),
-                    ([2, 0, 1], true),
-                    ([0, 2, 1], false),
-                    ([2, 1, 0], false),
-                    ([1, 0, 2], false),
-                ] {
-                    let mut at = [i, j, k];
-                    let mut t = [id(i, j, k); 4];
-                    for (s, axis) in perm.into_iter().enumerate() {
-                        at[axis] += 1;
-                        t[s + 1] = id(at[0], at[1], at[2]);
-                    }
-                    if !even {
-                        t.swap(2, 3);
-                    }
-                    tets.push(t);
-                }
-            }
-        }
-    }
-    (vertices, tets)
+    let block = tet_block(lo, n.map(|n| n as f64 * edge), n);
+    let vertices = block.points.iter().map(|p| p.map(|v| v as f32)).collect();
+    (vertices, block.tets)
 }
 
 /// The embedding mesh that a package of the kidney phantom would have, around `centre` (local mm).

@@ -273,30 +273,11 @@ impl Grid {
 mod tests {
     use super::*;
     use palpate_fem::{Material, NodeState, Settings, Simulation};
+    use palpate_fixtures::tets::{TetBlock, tet_block};
 
-    /// A block of 2 × 2 × 2 cubes of 10 mm, each of six tets around a diagonal.
+    /// A block of 2 × 2 × 2 cubes of 10 mm.
     fn block() -> TissueMesh {
-        let n = |i: usize, j: usize, k: usize| (i + 3 * (j + 3 * k)) as u32;
-        let mut points = Vec::new();
-        for k in 0..3 {
-            for j in 0..3 {
-                for i in 0..3 {
-                    points.push([i, j, k].map(|v| 10.0 * v as f64));
-                }
-            }
-        }
-        let mut tets = Vec::new();
-        for (i, j, k) in (0..8).map(|c| (c & 1, c >> 1 & 1, c >> 2)) {
-            for [a, b] in [[0, 1], [1, 2], [2, 0], [1, 0], [2, 1], [0, 2]] {
-                let (mut p, mut q) = ([i, j, k], [i, j, k]);
-                p[a] += 1;
-                q[a] += 1;
-                q[b] += 1;
-                let t = [[i, j, k], p, q, [i + 1, j + 1, k + 1]].map(|v| n(v[0], v[1], v[2]));
-                let even = [[0, 1], [1, 2], [2, 0]].contains(&[a, b]);
-                tets.push(if even { t } else { [t[0], t[2], t[1], t[3]] });
-            }
-        }
+        let TetBlock { points, tets } = tet_block([0.0; 3], [20.0; 3], [2; 3]);
         let regions = vec![0; tets.len()];
         TissueMesh::new(&points, &tets, &regions).unwrap()
     }

@@ -96,33 +96,12 @@ fn by_entry(hold: &Hold, regions: &[String], mesh: &TissueMesh, origin: DVec3) -
 mod tests {
     use super::*;
     use crate::scene::Direction;
+    use palpate_fixtures::tets::{TetBlock, tet_block};
 
     /// One row of cubes along y, four of 10 mm; region 1 is the last.
     fn bar() -> TissueMesh {
-        let mut points = Vec::new();
-        for j in 0..5 {
-            for (x, z) in [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (0.0, 10.0)] {
-                points.push([x, 10.0 * f64::from(j), z]);
-            }
-        }
-        let (mut tets, mut regions) = (Vec::new(), Vec::new());
-        for j in 0..4u32 {
-            let [a, b, c, d] = [0, 1, 2, 3].map(|k| 4 * j + k);
-            let [e, f, g, h] = [4, 5, 6, 7].map(|k| 4 * j + k);
-            for t in [
-                [a, b, f, g],
-                [a, f, e, g],
-                [a, e, h, g],
-                [a, h, d, g],
-                [a, d, c, g],
-                [a, c, b, g],
-            ] {
-                let [p, q, r, s] = t.map(|n| DVec3::from(points[n as usize]));
-                let up = (q - p).dot((r - p).cross(s - p)) > 0.0;
-                tets.push(if up { t } else { [t[0], t[2], t[1], t[3]] });
-                regions.push(u16::from(j == 3));
-            }
-        }
+        let TetBlock { points, tets } = tet_block([0.0; 3], [10.0, 40.0, 10.0], [1, 4, 1]);
+        let regions: Vec<u16> = (0..tets.len()).map(|t| u16::from(t / 6 == 3)).collect();
         TissueMesh::new(&points, &tets, &regions).unwrap()
     }
 
