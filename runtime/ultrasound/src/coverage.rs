@@ -1,8 +1,9 @@
 //! Which tet each sample of a ray lies in.
 
-use crate::cut::{Cut, Polygon, Ray};
+use crate::cut::{Cut, Polygon, ROWS, Ray, row_spans};
 use crate::organ::Organ;
 use crate::{PixelGrid, Probe};
+use std::ops::Range;
 
 /// Marks a sample that no polygon covers.
 pub(crate) const NONE: u32 = u32::MAX;
@@ -25,114 +26,171 @@ pub(crate) fn cover(cut: &Cut, organs: &[Organ], reach: &Reach, line: f32, ray: 
     }
 }
 
-/// [`cover`] for the pixels of whole rows from `first` on.
-pub(crate) fn cover_rows(cut: &Cut, organs: &[Organ], grid: &PixelGrid, first: usize, out: &mut [u32]) {
+/// [`cover`] for the pixels of a band of rows.
+pub(crate) fn cover_rows(
+    cut: &Cut,
+    organs: &[Organ],
+    bands: &Bands,
+    grid: &PixelGrid,
+    band: usize,
+    out: &mut [u32],
+) {
     out.fill(NONE);
     let w = grid.width_px.max(1);
-    let rows = out.len() / w;
-    for (n, polygon) in cut.polygons.iter().enumerate() {
-        let row = |z: f64| (z - grid.z0_mm) / grid.pixel_mm - first as f64;
-        // A row more on either side is far above rounding.
-        let low = row(polygon.centre[1] - polygon.half[1]) - 1.0;
-        let high = row(polygon.centre[1] + polygon.half[1]) + 2.0;
-        if high <= 0.0 || low >= rows as f64 {
+    let (first, rows) = (band * ROWS, out.len() / w);
+    for &n in bands.0.get(band) {
+        let Some(polygon) = cut.polygons.get(n as usize) else {
             continue;
-        }
-        for m in low as usize..(high as usize).min(rows) {
-            let ray = Ray {
-                start: grid.plane([0.0, (first + m) as f64]),
-                direction: [1.0, 0.0],
-                step_mm: grid.pixel_mm,
-                samples: w,
-            };
-            claim(cut, organs, n, polygon, &ray, &mut out[m * w..(m + 1) * w]);
-        }
+        };
+        row_spans(polygon, grid, first, rows, |m, span| {
+            let point = |k: usize| grid.plane([k as f64, (first + m) as f64]);
+            give(cut, organs, n, polygon, span, point, &mut out[m * w..(m + 1) * w]);
+        });
     }
 }
 
 /// Gives polygon `n` the samples that it has a right to.
 #[inline]
 fn claim(cut: &Cut, organs: &[Organ], n: usize, polygon: &Polygon, ray: &Ray, out: &mut [u32]) {
-    let several = organs.len() > 1;
-    let span = ray.span(polygon);
+    let point = |m: usize| ray.point(m as f64);
+    give(cut, organs, n as u32, polygon, ray.span(polygon), point, out);
+}
+
+#[inline]
+fn give(
+    cut: &Cut,
+    organs: &[Organ],
+    n: u32,
+    polygon: &Polygon,
+    span: Range<usize>,
+    point: impl Fn(usize) -> [f64; 2],
+    out: &mut [u32],
+) {
     let first = span.start;
     let Some(row) = out.get_mut(span) else { return };
+    if organs.len() == 1 || polygon.inverted {
+        for slot in row {
+            *slot = if *slot == NONE { n } else { *slot };
+        }
+        return;
+    }
     for (m, slot) in row.iter_mut().enumerate() {
         if *slot == NONE {
-            *slot = n as u32;
-        } else if several && !polygon.inverted {
-            let Some(other) = cut.polygons.get(*slot as usize) else {
-                continue;
-            };
-            if other.organ != polygon.organ {
-                let p = ray.point((first + m) as f64);
-                if !in_region(organs, other, p) && in_region(organs, polygon, p) {
-                    *slot = n as u32;
-                }
+            *slot = n;
+        } else if let Some(other) = cut.polygons.get(*slot as usize)
+            && other.organ != polygon.organ
+        {
+            let p = point(first + m);
+            if !in_region(organs, other, p) && in_region(organs, polygon, p) {
+                *slot = n;
             }
         }
     }
 }
 
-/// Which polygons may meet which scan lines.
+/// Polygons by the buckets that they reach into, ascending in each.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Reach {
-    /// Where each line's polygons begin, and the end of the last ones'.
+struct Buckets {
+    /// Where each bucket begins, and the end of the last one.
     first: Vec<u32>,
-    /// Polygons that reach between a line and the next, ascending.
     polygons: Vec<u32>,
     between: Vec<[u32; 2]>,
 }
 
-impl Reach {
-    pub(crate) fn update(&mut self, cut: &Cut, probe: &Probe) {
-        let last = probe.lines - 1;
+impl Buckets {
+    /// `between`: first bucket of each polygon, and one beyond its last, at most `count`.
+    fn fill(&mut self, count: usize, between: impl Iterator<Item = [usize; 2]>) {
         self.first.clear();
-        self.first.resize(probe.lines + 1, 0);
+        self.first.resize(count + 1, 0);
         self.between.clear();
-        for p in &cut.polygons {
-            let (mut lo, mut hi) = (f64::INFINITY, f64::NEG_INFINITY);
-            for &c in &p.corners[..p.count] {
-                if !probe.fans_towards(c) {
-                    (lo, hi) = (f64::NEG_INFINITY, f64::INFINITY);
-                    break;
-                }
-                let line = probe.beam(c)[0];
-                lo = lo.min(line);
-                hi = hi.max(line);
+        for [from, to] in between {
+            for bucket in from..to {
+                self.first[bucket + 1] += 1;
             }
-            // Room for rounding; what ends before the first line is none's.
-            let end = if hi < -0.01 { 0 } else { (hi + 0.01) as usize + 1 };
-            let between = [(lo - 0.01) as usize, end.min(last + 1)];
-            for line in between[0]..between[1] {
-                self.first[line + 1] += 1;
-            }
-            self.between.push(between.map(|n| n as u32));
+            self.between.push([from as u32, to as u32]);
         }
-        for line in 0..=last {
-            self.first[line + 1] += self.first[line];
+        for bucket in 0..count {
+            self.first[bucket + 1] += self.first[bucket];
         }
         self.polygons.clear();
-        self.polygons.resize(self.first[last + 1] as usize, 0);
+        self.polygons.resize(self.first[count] as usize, 0);
         for (n, &[from, to]) in self.between.iter().enumerate() {
-            for line in from..to {
-                let slot = &mut self.first[line as usize];
+            for bucket in from..to {
+                let slot = &mut self.first[bucket as usize];
                 self.polygons[*slot as usize] = n as u32;
                 *slot += 1;
             }
         }
-        // Each line's beginning has moved on to the next one's.
-        self.first.copy_within(0..=last, 1);
+        // Each bucket's beginning has moved on to the next one's.
+        self.first.copy_within(0..count, 1);
         self.first[0] = 0;
+    }
+
+    fn get(&self, bucket: usize) -> &[u32] {
+        match self.first.get(bucket..bucket + 2) {
+            Some(&[from, to]) => self.polygons.get(from as usize..to as usize).unwrap_or(&[]),
+            _ => &[],
+        }
+    }
+}
+
+/// Which polygons may meet which bands of [`ROWS`] rows of pixels.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Bands(Buckets);
+
+impl Bands {
+    pub(crate) fn update(&mut self, cut: &Cut, grid: &PixelGrid) {
+        let count = grid.height_px.div_ceil(ROWS);
+        let band = |row: f64| (row / ROWS as f64).max(0.0) as usize;
+        let row = |z: f64| (z - grid.z0_mm) / grid.pixel_mm;
+        self.0.fill(
+            count,
+            cut.polygons.iter().map(|p| {
+                // Two rows more on either side are far above rounding.
+                let low = band(row(p.centre[1] - p.half[1]) - 2.0);
+                let high = row(p.centre[1] + p.half[1]) + 2.0;
+                let end = if high < 0.0 { 0 } else { band(high) + 1 };
+                [low, end.min(count)]
+            }),
+        );
+    }
+}
+
+/// Which polygons may meet which scan lines: those that reach between a line and the next.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Reach(Buckets);
+
+impl Reach {
+    pub(crate) fn update(&mut self, cut: &Cut, probe: &Probe) {
+        let last = probe.lines - 1;
+        self.0.fill(
+            probe.lines,
+            cut.polygons.iter().map(|p| {
+                let (mut lo, mut hi) = (f64::INFINITY, f64::NEG_INFINITY);
+                for &c in &p.corners[..p.count] {
+                    if !probe.fans_towards(c) {
+                        (lo, hi) = (f64::NEG_INFINITY, f64::INFINITY);
+                        break;
+                    }
+                    let line = probe.beam(c)[0];
+                    lo = lo.min(line);
+                    hi = hi.max(line);
+                }
+                // Room for rounding; what ends before the first line is none's.
+                let end = if hi < -0.01 {
+                    0
+                } else {
+                    ((hi + 0.01) as usize).saturating_add(1)
+                };
+                [(lo - 0.01) as usize, end.min(last + 1)]
+            }),
+        );
     }
 
     /// Those that may meet scan line `line`; fractions lie between lines.
     fn near(&self, line: f32) -> &[u32] {
-        let n = (line as usize).min(self.first.len().saturating_sub(2));
-        match self.first.get(n..n + 2) {
-            Some(&[from, to]) => self.polygons.get(from as usize..to as usize).unwrap_or(&[]),
-            _ => &[],
-        }
+        self.0
+            .get((line as usize).min(self.0.first.len().saturating_sub(2)))
     }
 }
 
@@ -147,10 +205,16 @@ fn in_region(organs: &[Organ], polygon: &Polygon, plane_mm: [f64; 2]) -> bool {
 }
 
 /// Calls `run` for each stretch of samples with one polygon.
-pub(crate) fn runs(polygons: &[u32], mut run: impl FnMut(u32, std::ops::Range<usize>)) {
+pub(crate) fn runs(polygons: &[u32], mut run: impl FnMut(u32, Range<usize>)) {
+    /// Samples that are compared at once.
+    const BLOCK: usize = 8;
     let mut start = 0;
     while let Some(&p) = polygons.get(start) {
-        let len = polygons[start..].iter().take_while(|&&q| q == p).count();
+        let rest = &polygons[start..];
+        let alike = |block: &[u32]| block.iter().fold(true, |all, &q| all & (q == p));
+        let blocks = rest.chunks_exact(BLOCK);
+        let mut len = BLOCK * blocks.take_while(|b| alike(b)).count();
+        len += rest[len..].iter().take_while(|&&q| q == p).count();
         run(p, start..start + len);
         start += len;
     }
@@ -161,7 +225,7 @@ pub(crate) fn runs(polygons: &[u32], mut run: impl FnMut(u32, std::ops::Range<us
 pub(crate) fn nearest(
     cut: &Cut,
     ray: &Ray,
-    samples: std::ops::Range<usize>,
+    samples: Range<usize>,
     reach_mm: f64,
     mut each: impl FnMut(usize, Option<u32>),
 ) {

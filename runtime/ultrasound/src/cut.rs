@@ -7,8 +7,14 @@
 //! and begin at the same number. A sample at n belongs to [start, end).
 
 use crate::organ::Organ;
-use crate::vector::{Vec3, apply, apply_linear, barycentric_rows, dot, scale, sub, wide};
-use crate::{ProbePose, UltrasoundError};
+use crate::vector::{Vec3, apply, apply_linear, barycentric_rows, cross, dot, scale, sub, wide};
+use crate::{PixelGrid, ProbePose, UltrasoundError};
+use rayon::prelude::*;
+
+/// Tets or vertices of a unit of parallel work.
+const PART: usize = 1024;
+/// Rows of pixels that are looked at together.
+pub(crate) const ROWS: usize = 16;
 
 /// A tet's cross-section.
 #[derive(Clone, Copy, Debug)]
@@ -34,41 +40,101 @@ pub(crate) struct Cut {
     pub(crate) polygons: Vec<Polygon>,
     /// Inverted or broken tets of the whole meshes, in this plane or not.
     pub(crate) inverted_tets: usize,
+    /// Distances of an organ's vertices from the plane, mm.
+    height: Vec<f64>,
+    parts: Vec<Part>,
+}
+
+/// What the plane cuts of a run of tets.
+#[derive(Clone, Debug, Default)]
+struct Part {
+    polygons: Vec<Polygon>,
     inverted: Vec<Polygon>,
-    plane: Vec<Vec3>,
+    inverted_tets: usize,
 }
 
 impl Cut {
     /// Cuts all organs; `deformed` are local mm, one list per organ.
     pub(crate) fn update(&mut self, organs: &[Organ], deformed: &[&[[f32; 3]]], pose: &ProbePose) {
-        self.polygons.clear();
-        self.inverted.clear();
-        self.inverted_tets = 0;
+        let count = |o: &Organ| o.tets.len().div_ceil(PART);
+        self.parts
+            .resize_with(organs.iter().map(count).sum(), Part::default);
+        let mut parts = self.parts.as_mut_slice();
         for (o, (organ, positions)) in organs.iter().zip(deformed).enumerate() {
-            self.organ(o as u32, organ, positions, pose);
+            let (own, rest) = parts.split_at_mut(count(organ));
+            parts = rest;
+            let face = sub(pose.face_mm, organ.origin_mm);
+            let up = pose.elevation();
+            self.height.resize(positions.len(), 0.0);
+            (self.height.par_chunks_mut(PART), positions.par_chunks(PART))
+                .into_par_iter()
+                .for_each(|(heights, positions)| {
+                    for (h, &p) in heights.iter_mut().zip(positions) {
+                        *h = dot(up, sub(wide(p), face));
+                    }
+                });
+            let slab = Slab {
+                o: o as u32,
+                organ,
+                positions,
+                height: &self.height,
+                pose,
+                face,
+            };
+            own.par_iter_mut()
+                .enumerate()
+                .for_each(|(n, part)| slab.cut(n * PART, part));
         }
-        self.polygons.append(&mut self.inverted);
+        self.polygons.clear();
+        self.inverted_tets = 0;
+        for part in &self.parts {
+            self.polygons.extend_from_slice(&part.polygons);
+            self.inverted_tets += part.inverted_tets;
+        }
+        for part in &self.parts {
+            self.polygons.extend_from_slice(&part.inverted);
+        }
     }
+}
 
-    fn organ(&mut self, o: u32, organ: &Organ, positions: &[[f32; 3]], pose: &ProbePose) {
+/// An organ and the plane.
+struct Slab<'a> {
+    o: u32,
+    organ: &'a Organ,
+    positions: &'a [[f32; 3]],
+    height: &'a [f64],
+    pose: &'a ProbePose,
+    /// Of the plane, local mm.
+    face: Vec3,
+}
+
+impl Slab<'_> {
+    /// Cuts the tets from `first` on.
+    fn cut(&self, first: usize, out: &mut Part) {
+        out.polygons.clear();
+        out.inverted.clear();
+        out.inverted_tets = 0;
+        let &Self {
+            o, organ, pose, face, ..
+        } = self;
         let frame = [pose.lateral, pose.axial, pose.elevation()];
-        let face = sub(pose.face_mm, organ.origin_mm);
-        self.plane.clear();
-        self.plane.extend(positions.iter().map(|&p| {
-            let d = sub(wide(p), face);
-            frame.map(|axis| dot(axis, d))
-        }));
-        for (n, t) in organ.tets.iter().enumerate() {
-            let p = t.map(|v| self.plane[v as usize]);
-            let x = t.map(|v| wide(positions[v as usize]));
-            let above = p.map(|q| q[2] >= 0.0);
-            let cut = above.iter().any(|&a| a != above[0]);
+        let tets = &organ.tets[first..(first + PART).min(organ.tets.len())];
+        for (n, t) in (first..).zip(tets) {
+            let x = t.map(|v| wide(self.positions[v as usize]));
+            let above = t.map(|v| self.height[v as usize] >= 0.0);
             // The determinant is needed of every tet, its inverse of the few that are cut.
             let (u, v, w) = (sub(x[1], x[0]), sub(x[2], x[0]), sub(x[3], x[0]));
-            let volume6 = dot(u, crate::vector::cross(v, w));
+            let volume6 = dot(u, cross(v, w));
             let good = volume6 > 0.0 && volume6.is_finite();
-            self.inverted_tets += usize::from(!good);
-            if !cut || !p.iter().flatten().all(|c| c.is_finite()) {
+            out.inverted_tets += usize::from(!good);
+            if above.iter().all(|&a| a == above[0]) {
+                continue;
+            }
+            let p = x.map(|x| {
+                let d = sub(x, face);
+                frame.map(|axis| dot(axis, d))
+            });
+            if !p.iter().flatten().all(|c| c.is_finite()) {
                 continue;
             }
             let mut polygon = Polygon {
@@ -112,9 +178,9 @@ impl Cut {
             if let Some(map) = good.then(|| plane_to_index(organ, t, x, face, pose)).flatten() {
                 polygon.map = map;
                 polygon.inverted = false;
-                self.polygons.push(polygon);
+                out.polygons.push(polygon);
             } else {
-                self.inverted.push(polygon);
+                out.inverted.push(polygon);
             }
         }
     }
@@ -208,11 +274,63 @@ impl Ray {
         self.first(lo)..self.first(hi)
     }
 
-    /// The first sample at or beyond a distance, at most the number of samples.
     fn first(&self, along_mm: f64) -> usize {
-        let n = (along_mm / self.step_mm).ceil();
-        // Negative and not-a-number become 0.
-        (n as usize).min(self.samples)
+        first(along_mm, self.step_mm, self.samples)
+    }
+}
+
+/// The first sample at or beyond a distance, at most the number of samples.
+fn first(along_mm: f64, step_mm: f64, samples: usize) -> usize {
+    let n = along_mm / step_mm;
+    // Negative and not-a-number become 0. Rounded up by hand: not every processor has an instruction for it.
+    let below = n as usize;
+    (below.saturating_add(usize::from(n > below as f64))).min(samples)
+}
+
+/// Calls `each` with the samples that lie in a polygon, for those of up to [`ROWS`] rows of pixels from `from` on that meet
+/// it: the same bits as [`Ray::span`] of each row.
+pub(crate) fn row_spans(
+    polygon: &Polygon,
+    grid: &PixelGrid,
+    from: usize,
+    rows: usize,
+    mut each: impl FnMut(usize, std::ops::Range<usize>),
+) {
+    let row = |z: f64| (z - grid.z0_mm) / grid.pixel_mm - from as f64;
+    // A row more on either side is far above rounding.
+    let low = row(polygon.centre[1] - polygon.half[1]) - 1.0;
+    let high = row(polygon.centre[1] + polygon.half[1]) + 2.0;
+    let rows = rows.min(ROWS);
+    if high.is_nan() || high <= 0.0 || low >= rows as f64 {
+        return;
+    }
+    let met = low as usize..(high as usize).min(rows);
+    let mut depth = [0.0; ROWS];
+    for m in met.clone() {
+        depth[m] = grid.plane([0.0, (from + m) as f64])[1];
+    }
+    let start = grid.plane([0.0, 0.0])[0];
+    let (mut lo, mut hi) = ([f64::INFINITY; ROWS], [f64::NEG_INFINITY; ROWS]);
+    for i in 0..polygon.count {
+        let j = if i + 1 == polygon.count { 0 } else { i + 1 };
+        let (mut a, mut b) = (polygon.corners[i], polygon.corners[j]);
+        if b < a {
+            (a, b) = (b, a);
+        }
+        let (along_a, along_b) = (a[0] - start, b[0] - start);
+        for m in met.clone() {
+            let (across_a, across_b) = (a[1] - depth[m], b[1] - depth[m]);
+            let at = along_a + across_a / (across_a - across_b) * (along_b - along_a);
+            let crosses = (across_a >= 0.0) != (across_b >= 0.0);
+            lo[m] = if crosses & (at < lo[m]) { at } else { lo[m] };
+            hi[m] = if crosses & (at > hi[m]) { at } else { hi[m] };
+        }
+    }
+    for m in met {
+        if lo[m] <= hi[m] {
+            let sample = |along: f64| first(along, grid.pixel_mm, grid.width_px);
+            each(m, sample(lo[m])..sample(hi[m]));
+        }
     }
 }
 
@@ -293,4 +411,68 @@ pub(crate) fn check_deformed(organs: &[Organ], deformed: &[&[[f32; 3]]]) -> Resu
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Quads and triangles of all sizes, some with corners on rows of pixels.
+    #[test]
+    fn spans_of_rows_are_those_of_rays() {
+        let grid = PixelGrid {
+            width_px: 60,
+            height_px: 70,
+            pixel_mm: 0.25,
+            x0_mm: -7.0,
+            z0_mm: 0.125,
+        };
+        let mut random = 7u32;
+        let mut uniform = move || {
+            random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            f64::from(random >> 8) / f64::from(1 << 24)
+        };
+        let mut met = 0;
+        for n in 0..400 {
+            let size = [0.1, 1.0, 6.0, 40.0][n % 4];
+            let centre = [16.0 * uniform() - 8.0, 20.0 * uniform() - 1.0];
+            let turn = uniform();
+            let mut polygon = Polygon {
+                organ: 0,
+                tet: 0,
+                corners: [[0.0; 2]; 4],
+                count: 3 + n % 2,
+                centre: [0.0; 2],
+                half: [0.0; 2],
+                map: [[0.0; 3]; 3],
+                inverted: false,
+            };
+            for k in 0..polygon.count {
+                let angle = std::f64::consts::TAU * (turn + k as f64 / polygon.count as f64);
+                let mut at = [centre[0] + size * angle.cos(), centre[1] + size * angle.sin()];
+                if n.is_multiple_of(5) {
+                    at = grid.plane(grid.pixel(at).map(f64::round));
+                }
+                polygon.corners[k] = at;
+            }
+            polygon.measure();
+            for (from, rows) in [(0, 16), (16, 16), (32, 16), (48, 16), (64, 6)] {
+                let mut found = [const { 0..0 }; ROWS];
+                row_spans(&polygon, &grid, from, rows, |m, span| found[m] = span);
+                for (m, found) in found.into_iter().enumerate().take(rows) {
+                    let ray = Ray {
+                        start: grid.plane([0.0, (from + m) as f64]),
+                        direction: [1.0, 0.0],
+                        step_mm: grid.pixel_mm,
+                        samples: grid.width_px,
+                    };
+                    let want = ray.span(&polygon);
+                    let same = found == want || (found.is_empty() && want.is_empty());
+                    assert!(same, "polygon {n}, row {}: {found:?}, {want:?}", from + m);
+                    met += usize::from(!found.is_empty());
+                }
+            }
+        }
+        assert!(met > 3000, "{met}");
+    }
 }

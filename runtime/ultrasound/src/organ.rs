@@ -30,7 +30,8 @@ pub(crate) struct Volume {
     pub(crate) to_patient: Affine34,
     pub(crate) hu: Vec<i16>,
     pub(crate) label: Vec<u8>,
-    /// Per cell (named by its lowest voxel): [`TOUCHES_REGION`], [`MIXED`].
+    /// Per cell (named by its lowest voxel): [`TOUCHES_REGION`], [`MIXED`], from [`EVEN`] on the distance to the nearest cell
+    /// whose voxels differ.
     cell: Vec<u8>,
     /// Mean distance of neighbouring voxels, mm.
     pub(crate) spacing_mm: f64,
@@ -40,6 +41,8 @@ pub(crate) struct Volume {
 const TOUCHES_REGION: u8 = 1;
 /// Bit of a cell whose eight voxels have different labels.
 const MIXED: u8 = 2;
+/// Lowest bit of a cell's distance from those whose eight voxels differ in label or CT value; 0 for these.
+const EVEN: u8 = 4;
 
 impl Organ {
     /// Prepares a package; `tissues` gives the nominal CT values where it has none.
@@ -267,13 +270,23 @@ impl Volume {
         let touches = pooled(dims, label.iter().map(region).collect(), u8::max);
         let low = pooled(dims, label.clone(), u8::min);
         let high = pooled(dims, label.clone(), u8::max);
-        let bits = |((t, l), h): ((&u8, &u8), &u8)| {
+        let mut cell = steps_to(
+            dims,
+            pooled(dims, hu.clone(), i16::min)
+                .iter()
+                .zip(pooled(dims, hu.clone(), i16::max))
+                .zip(low.iter().zip(&high))
+                .map(|((a, b), (l, h))| *a != b || l != h)
+                .collect(),
+            u8::MAX / EVEN,
+        );
+        for (cell, ((t, l), h)) in cell.iter_mut().zip(touches.iter().zip(&low).zip(&high)) {
             let mixed = if l == h { 0 } else { MIXED };
-            t * TOUCHES_REGION + mixed
-        };
+            *cell = *cell * EVEN + t * TOUCHES_REGION + mixed;
+        }
         Self {
             spacing_mm: (size(0) + size(1) + size(2)) / 3.0,
-            cell: touches.iter().zip(&low).zip(&high).map(bits).collect(),
+            cell,
             dims,
             to_index,
             to_patient,
@@ -347,7 +360,17 @@ impl Volume {
             label[c] = self.label[m];
             weight[c] = share;
         }
-        let (mut best, mut most) = (label[0], -1.0);
+        // Nearly always there are two labels.
+        let first = label[0];
+        let second = label.iter().copied().find(|&l| l != first).unwrap_or(first);
+        if label.iter().all(|&l| l == first || l == second) {
+            let (mut a, mut b) = (0.0, 0.0);
+            for c in 0..8 {
+                *(if label[c] == first { &mut a } else { &mut b }) += weight[c];
+            }
+            return if b > a { second } else { first };
+        }
+        let (mut best, mut most) = (first, -1.0);
         for c in 0..8 {
             let mut sum = 0.0;
             for d in 0..8 {
@@ -373,6 +396,13 @@ impl Volume {
         self.cell[voxel] & TOUCHES_REGION != 0
     }
 
+    /// Of a cell whose voxels have all one label and one CT value: how many cells further on, along all axes, all are the
+    /// same.
+    #[inline(always)]
+    pub(crate) fn cell_is_even(&self, voxel: usize) -> Option<u8> {
+        (self.cell[voxel] / EVEN).checked_sub(1)
+    }
+
     /// Whether a cell's voxels have different labels.
     #[inline(always)]
     pub(crate) fn cell_is_mixed(&self, voxel: usize) -> bool {
@@ -393,6 +423,43 @@ pub(crate) fn pooled<T: Copy>(dims: [usize; 3], mut values: Vec<T>, pick: impl F
         stride *= d;
     }
     values
+}
+
+/// Steps from each cell to the nearest marked one, diagonals being one step, at most `most`.
+pub(crate) fn steps_to(dims: [usize; 3], marked: Vec<bool>, most: u8) -> Vec<u8> {
+    let mut steps: Vec<u8> = marked.iter().map(|&m| if m { 0 } else { most }).collect();
+    let [w, h, d] = dims;
+    let mut near = vec![0u8; w];
+    // Forwards and backwards, each from the neighbours that are done: exact for this distance.
+    for back in [false, true] {
+        for n in 0..h * d {
+            let row = if back { h * d - 1 - n } else { n };
+            let (j, k) = (row % h, row / h);
+            near.fill(most);
+            // The row before in this sheet, three of the sheet before.
+            for (dj, dk) in [(1, 0), (1, 1), (0, 1), (-1, 1)] {
+                let (dj, dk) = if back { (dj, dk) } else { (-dj, -dk) };
+                let (Some(j), Some(k)) = (j.checked_add_signed(dj), k.checked_add_signed(dk)) else {
+                    continue;
+                };
+                if j < h && k < d {
+                    let other = &steps[w * (j + h * k)..][..w];
+                    near.iter_mut().zip(other).for_each(|(a, b)| *a = (*a).min(*b));
+                }
+            }
+            let row = &mut steps[w * row..][..w];
+            let mut last = most;
+            for n in 0..w {
+                let i = if back { w - 1 - n } else { n };
+                let beside = near[i]
+                    .min(near[i.saturating_sub(1)])
+                    .min(near[(i + 1).min(w - 1)]);
+                last = row[i].min(beside.min(last).saturating_add(1));
+                row[i] = last;
+            }
+        }
+    }
+    steps
 }
 
 /// CT values at a cell's corners: those at lower first axis, and how much the upper ones have more.
@@ -424,5 +491,34 @@ impl Corners {
         };
         let (a, b) = (sheet(0), sheet(2));
         a + w[2] * (b - a)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn steps_are_those_of_a_brute_force_search() {
+        let dims = [9usize, 6, 7];
+        let mut random = 1u32;
+        for share in [3, 40, 1000] {
+            let marked: Vec<bool> = (0..dims.iter().product())
+                .map(|_| {
+                    random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                    (random >> 8).is_multiple_of(share)
+                })
+                .collect();
+            let place = |n: usize| [n % dims[0], n / dims[0] % dims[1], n / dims[0] / dims[1]];
+            let found = steps_to(dims, marked.clone(), 5);
+            for (n, found) in found.iter().enumerate() {
+                let steps = |m: usize| {
+                    let (a, b) = (place(n), place(m));
+                    (0..3).map(|k| a[k].abs_diff(b[k])).max().unwrap()
+                };
+                let all = (0..marked.len()).filter(|&m| marked[m]).map(steps);
+                assert_eq!(usize::from(*found), all.min().unwrap_or(5).min(5), "{n}");
+            }
+        }
     }
 }

@@ -1,7 +1,7 @@
 //! Level 0 (Camara et al. 2016): scan plane → deformed tets → rest pose → CT.
 
-use crate::coverage::{self, NONE};
-use crate::cut::{Cut, Polygon, Ray};
+use crate::coverage::{self, Bands, NONE};
+use crate::cut::{Cut, Polygon, ROWS, Ray};
 use crate::organ::{Corners, Organ, Volume};
 use crate::vector::{Vec3, add, apply, apply_linear, scale};
 use crate::{Background, Needle, NeedleSettings, PixelGrid, ProbePose, Source};
@@ -32,6 +32,7 @@ pub(crate) struct Pixels {
     /// 0, or the organ's label base plus its label value.
     pub(crate) label: Vec<u16>,
     pub(crate) source: Vec<u8>,
+    bands: Bands,
 }
 
 impl Pixels {
@@ -43,9 +44,6 @@ impl Pixels {
     }
 }
 
-/// Rows of a unit of parallel work.
-const BAND: usize = 16;
-
 /// Fills all pixels of the grid. Bands of rows are independent, so the bytes do not depend on the threads.
 pub(crate) fn resample(scene: &Scene, cut: &Cut, pose: &ProbePose, grid: &PixelGrid, out: &mut Pixels) {
     out.resize(grid.len());
@@ -56,15 +54,17 @@ pub(crate) fn resample(scene: &Scene, cut: &Cut, pose: &ProbePose, grid: &PixelG
         step_mm: grid.pixel_mm,
         samples: w,
     };
+    out.bands.update(cut, grid);
+    let bands = &out.bands;
     out.polygon
-        .par_chunks_mut(w * BAND)
-        .zip(out.hu.par_chunks_mut(w * BAND))
-        .zip(out.label.par_chunks_mut(w * BAND))
-        .zip(out.source.par_chunks_mut(w * BAND))
+        .par_chunks_mut(w * ROWS)
+        .zip(out.hu.par_chunks_mut(w * ROWS))
+        .zip(out.label.par_chunks_mut(w * ROWS))
+        .zip(out.source.par_chunks_mut(w * ROWS))
         .enumerate()
         .for_each(|(band, (((polygon, hu), label), source))| {
-            let first = band * BAND;
-            coverage::cover_rows(cut, scene.organs, grid, first, polygon);
+            let first = band * ROWS;
+            coverage::cover_rows(cut, scene.organs, bands, grid, band, polygon);
             let rows = polygon
                 .chunks(w)
                 .zip(hu.chunks_mut(w))
@@ -143,6 +143,7 @@ impl Line<'_> {
     ) {
         /// Samples that are computed at once.
         const BLOCK: usize = 8;
+        self.source[range.clone()].fill(source as u8);
         let first = range.start;
         let zero = [0, 1, 2].map(|a| (zero[a] + first as f64 * step[a]) as f32);
         let step = step.map(|v| v as f32);
@@ -159,16 +160,32 @@ impl Line<'_> {
             let w = [0, 1, 2].map(|a| index[a] - lower[a] as f32);
             let [i, j, k] = lower.map(|v| v as usize);
             let voxel = i + stride[1] * j + stride[2] * k;
-            let left = [0, 1, 2].map(|a| pace[a] * if step[a] >= 0.0 { 1.0 - w[a] } else { w[a] });
+            // Even cells are all alike up to so many further on.
+            let even = volume.cell_is_even(voxel);
+            let further = even.map_or(0.0, f32::from);
+            let left =
+                [0, 1, 2].map(|a| pace[a] * (further + if step[a] >= 0.0 { 1.0 - w[a] } else { w[a] }));
             let left = left[0].min(left[1]).min(left[2]) as i32 as usize;
-            let count = (left + 1).min(BLOCK).min(range.end - n);
+            let most = if even.is_some() {
+                range.end - n
+            } else {
+                BLOCK.min(range.end - n)
+            };
+            let count = (left + 1).min(most);
             if source == Source::Surroundings && volume.cell_touches_region(voxel) {
                 self.fill(scene, n..n + count, Source::Vacated);
                 n += count;
                 continue;
             }
+            if even.is_some() {
+                self.hu[n..n + count].fill(f32::from(volume.hu[voxel]));
+                self.label[n..n + count].fill(coded(volume.label[voxel], base));
+                n += count;
+                continue;
+            }
             let corners = Corners::new(&volume.hu, voxel, stride);
-            if count > 2 && n + BLOCK <= range.end {
+            let whole = n + BLOCK <= range.end;
+            if count > 2 && whole {
                 // What lies beyond the count is overwritten by the next cell.
                 let block: [f32; BLOCK] = std::array::from_fn(|m| corners.at(along(w, step, m)));
                 self.hu[n..n + BLOCK].copy_from_slice(&block);
@@ -183,9 +200,9 @@ impl Line<'_> {
                     self.label[n + m] = coded(label, base);
                 }
             } else {
-                self.label[n..n + count].fill(coded(volume.label[voxel], base));
+                let end = n + if whole { BLOCK } else { count };
+                self.label[n..end].fill(coded(volume.label[voxel], base));
             }
-            self.source[n..n + count].fill(source as u8);
             n += count;
         }
     }
@@ -295,4 +312,77 @@ pub(crate) fn rest_point(organs: &[Organ], cut: &Cut, polygon: u32, plane_mm: [f
     let polygon = cut.polygons.get(polygon as usize).filter(|p| !p.inverted)?;
     let organ = organs.get(polygon.organ as usize)?;
     Some(apply(&organ.volume.to_patient, polygon.index(plane_mm)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use palpate_package::Affine34;
+
+    /// Long stretches through balls of one value, against every sample by itself.
+    #[test]
+    fn lines_show_what_each_sample_is() {
+        const UNIT: Affine34 = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
+        let dims = [40usize, 34, 30];
+        let place = |n: usize| [n % dims[0], n / dims[0] % dims[1], n / dims[0] / dims[1]];
+        let inside = |n: usize, c: [f64; 3], r: f64| {
+            let p = place(n).map(|v| v as f64);
+            (0..3).map(|a| (p[a] - c[a]).powi(2)).sum::<f64>() < r * r
+        };
+        let label: Vec<u8> = (0..dims.iter().product())
+            .map(|n| {
+                match (
+                    inside(n, [18.0, 16.0, 14.0], 11.0),
+                    inside(n, [22.0, 18.0, 14.0], 4.0),
+                ) {
+                    (_, true) => 2,
+                    (true, _) => 1,
+                    _ => 0,
+                }
+            })
+            .collect();
+        // A few odd voxels within and without.
+        let hu = |n: usize| i16::from(label[n]) * 60 - if n.is_multiple_of(2111) { 400 } else { 0 };
+        let hu: Vec<i16> = (0..label.len()).map(hu).collect();
+        let volume = Volume::new(1, dims, UNIT, UNIT, hu, label);
+        let even = (0..dims.iter().product()).filter_map(|n| volume.cell_is_even(n));
+        assert!(even.max() > Some(2), "nothing to skip");
+        let (mut random, mut different, mut all) = (3u32, 0, 0);
+        let mut uniform = move || {
+            random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            f64::from(random >> 8) / f64::from(1 << 24)
+        };
+        for _ in 0..200 {
+            let ends = [(); 2].map(|()| [0, 1, 2].map(|a| uniform() * (dims[a] as f64 - 2.0)));
+            let samples = 20 + (300.0 * uniform()) as usize;
+            let step = [0, 1, 2].map(|a| (ends[1][a] - ends[0][a]) / samples as f64);
+            let (mut hu, mut label) = (vec![f32::NAN; samples], vec![u16::MAX; samples]);
+            let mut source = vec![u8::MAX; samples];
+            let mut line = Line {
+                hu: &mut hu,
+                label: &mut label,
+                source: &mut source,
+            };
+            let scene = Scene {
+                organs: &[],
+                label_base: &[],
+                edge_mm: &[],
+                background: Background::Fixed,
+                fill_hu: -1000.0,
+                needles: &[],
+                needle: &NeedleSettings::default(),
+            };
+            line.cells(&scene, &volume, 4, [ends[0], step], 0..samples, Source::Mesh);
+            for n in 0..samples {
+                let index = [0, 1, 2].map(|a| (ends[0][a] + n as f64 * step[a]) as f32);
+                let want = volume.hu_at(index);
+                assert!((hu[n] - want).abs() < 0.1, "{index:?}: {} for {want}", hu[n]);
+                different += usize::from(label[n] != coded(volume.label_at(index), 4));
+                all += 1;
+            }
+            assert!(source.iter().all(|&s| s == Source::Mesh as u8));
+        }
+        // Samples on the border itself may fall to either side.
+        assert!(different * 5000 < all, "{different} labels of {all}");
+    }
 }
