@@ -13,6 +13,8 @@ const NEEDLE: Rgb = rgb(0xcfefff);
 const TARGET: Rgb = rgb(0xff5a4d);
 const FIDUCIAL: Rgb = rgb(0xf6e27a);
 const PLANE: Rgb = rgb(0x4fc3f7);
+/// Before every cut face, mm.
+const IN_FRONT_MM: f32 = 1e4;
 /// Colours of structures, in the package's order.
 const STRUCTURES: [Rgb; 5] = [
     rgb(0xe8c15a),
@@ -56,6 +58,9 @@ pub struct SceneGeometry<'a> {
     pub fiducials: &'a [[f32; 3]],
     /// Corners of the scan plane in order round it.
     pub plane: Option<[Vec3; 4]>,
+    /// Height of a cut towards the viewer from the camera's centre, mm: organs, structures and supports are cut open there, needles
+    /// and targets show whole, points that are followed not at all.
+    pub cut_mm: Option<f32>,
 }
 
 /// What is written beside the picture.
@@ -114,8 +119,18 @@ fn view(scene: &SceneGeometry, camera: &Camera, organ_opacity: f32, out: &mut Pi
         }
         beads
     };
-    let beads = beads_of(scene.fiducials, (3.2 * px_mm).max(0.75));
-    let targets = beads_of(&scene.targets, (4.5 * px_mm).max(1.2));
+    let cut = scene.cut_mm.map(|_| 1.0);
+    let beads = match cut {
+        None => beads_of(scene.fiducials, (3.2 * px_mm).max(0.75)),
+        Some(_) => Mesh::default(),
+    };
+    let targets = beads_of(
+        &scene.targets,
+        match cut {
+            None => (4.5 * px_mm).max(1.2),
+            Some(_) => 4.0 * px_mm,
+        },
+    );
     let plane = scene.plane.map(|c| {
         let ring = [c[0], c[1], c[2], c[3], c[0]];
         ribbon(&ring, 2.0 * px_mm, camera.toward)
@@ -128,10 +143,12 @@ fn view(scene: &SceneGeometry, camera: &Camera, organ_opacity: f32, out: &mut Pi
     let support = Material {
         shine: 0.0,
         opacity: 0.3,
+        cut: cut.map(|_| 0.55),
         ..Material::plain(SUPPORT)
     };
     let mut shown = View3d {
         ground: GROUND,
+        cut_mm: scene.cut_mm,
         ..View3d::default()
     };
     // A needle shows in what it is pushed into.
@@ -143,8 +160,9 @@ fn view(scene: &SceneGeometry, camera: &Camera, organ_opacity: f32, out: &mut Pi
             m,
             Material {
                 opacity,
-                // Where it lies on the organ's surface.
-                lift_mm: 0.5,
+                cut,
+                // Where it lies on the organ's surface; of cut faces, all in one plane, the smaller structure's is over the larger's.
+                lift_mm: 0.5 + 0.01 * larger(&scene.structures, i) as f32,
                 ..Material::plain(colour)
             },
         )
@@ -159,10 +177,19 @@ fn view(scene: &SceneGeometry, camera: &Camera, organ_opacity: f32, out: &mut Pi
         .extend(scene.instruments.iter().map(|m| item(m, tool)));
     let needle = Material {
         shine: 0.6,
+        lift_mm: IN_FRONT_MM,
         ..Material::plain(NEEDLE)
     };
-    shown.opaque.extend(scene.needles.iter().map(|m| item(m, needle)));
-    shown.opaque.push(item(&targets, Material::plain(TARGET)));
+    let target = Material {
+        lift_mm: IN_FRONT_MM - 1.0,
+        ..Material::plain(TARGET)
+    };
+    let whole = match cut {
+        Some(_) => &mut shown.veils,
+        None => &mut shown.opaque,
+    };
+    whole.extend(scene.needles.iter().map(|m| item(m, needle)));
+    whole.push(item(&targets, target));
     if let Some(p) = &plane {
         let line = Material {
             lit: false,
@@ -177,6 +204,7 @@ fn view(scene: &SceneGeometry, camera: &Camera, organ_opacity: f32, out: &mut Pi
             Material {
                 opacity: organ_opacity,
                 shine: 0.35,
+                cut,
                 ..Material::plain(ORGAN)
             },
         )
@@ -185,6 +213,22 @@ fn view(scene: &SceneGeometry, camera: &Camera, organ_opacity: f32, out: &mut Pi
         .veils
         .extend(scene.supports.iter().map(|m| item(m, support)));
     draw_view(&shown, camera, out, 0);
+}
+
+/// How many structures are larger than one.
+fn larger(structures: &[&Mesh], one: usize) -> usize {
+    let size = |m: &Mesh| {
+        let ends = m
+            .vertices
+            .iter()
+            .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(lo, hi), &p| {
+                (lo.min(p.into()), hi.max(p.into()))
+            });
+        (ends.1 - ends.0).length()
+    };
+    let own = size(structures[one]);
+    let before = |(i, m): (usize, &&Mesh)| size(m).total_cmp(&own).then(one.cmp(&i)).is_gt();
+    structures.iter().enumerate().filter(|&m| before(m)).count()
 }
 
 /// Patient directions at the edges of the view, and a scale bar.

@@ -29,6 +29,8 @@ pub struct Material {
     pub lit: bool,
     /// Whether each triangle's border is smoothed: for bodies with sharp edges.
     pub sharp: bool,
+    /// Whether the view's cut takes away what of it is on the viewer's side, and the opacity of a veil's cut face.
+    pub cut: Option<f32>,
     /// How much nearer than it is a veil counts where veils are put in order, mm: of two that coincide the lifted one shows.
     pub lift_mm: f32,
 }
@@ -43,6 +45,7 @@ impl Material {
             two_sided: false,
             lit: true,
             sharp: false,
+            cut: None,
             lift_mm: 0.0,
         }
     }
@@ -68,6 +71,9 @@ pub struct View3d<'a> {
     pub opaque: Vec<Item<'a>>,
     /// Each lies over what is behind its nearest sheet.
     pub veils: Vec<Item<'a>>,
+    /// Height towards the viewer from the camera's centre, mm, of the plane that cuts materials with `cut`: closed surfaces among
+    /// the veils get a flat face there.
+    pub cut_mm: Option<f32>,
     /// Colours of the ground at the top and at the bottom.
     pub ground: [Rgb; 2],
 }
@@ -89,6 +95,11 @@ struct Tri {
     corner: [Corner; 3],
     item: u32,
     layer: u8,
+    /// Nothing of it shows above this height.
+    limit: f32,
+    /// It faces away and is there to tell where a closed surface is cut: nearest to the viewer of what is left of its item, it says
+    /// that the plane runs inside.
+    inside: bool,
     /// Edge k is opposite to corner k: value at the origin's sample, step per sample across and down.
     edge: [[i64; 3]; 3],
     /// Height at sample (0, 0), step across and down.
@@ -117,7 +128,11 @@ pub fn draw_view(view: &View3d, camera: &Camera, out: &mut Picture, left: usize)
         .collect();
     let mut tris = Vec::new();
     for (n, &(item, layer)) in items.iter().enumerate() {
-        set_up(item, n as u32, layer, camera, height, &mut tris);
+        let limit = match item.material.cut {
+            Some(_) => view.cut_mm.unwrap_or(f32::INFINITY),
+            None => f32::INFINITY,
+        };
+        set_up(item, n as u32, layer, limit, camera, height, &mut tris);
     }
     let bands = height.div_ceil(BAND);
     let mut lists = vec![Vec::new(); bands];
@@ -130,13 +145,14 @@ pub fn draw_view(view: &View3d, camera: &Camera, out: &mut Picture, left: usize)
         }
     }
     let materials: Vec<Material> = items.iter().map(|(i, _)| i.material).collect();
-    // Samples of one group are shaded alike within a pixel; each triangle of a sharp body is its own.
+    // Samples of one group are shaded alike within a pixel; each triangle of a sharp body is its own, and so is a cut face.
     let groups: Vec<u32> = tris
         .iter()
         .enumerate()
-        .map(|(n, t)| match materials[t.item as usize].sharp {
-            true => (items.len() + n) as u32,
-            false => t.item,
+        .map(|(n, t)| match (t.inside, materials[t.item as usize].sharp) {
+            (true, _) => (items.len() + tris.len()) as u32 + t.item,
+            (false, true) => (items.len() + n) as u32,
+            (false, false) => t.item,
         })
         .collect();
     let layers = 1 + view.veils.len();
@@ -165,7 +181,16 @@ pub fn draw_view(view: &View3d, camera: &Camera, out: &mut Picture, left: usize)
         });
 }
 
-fn set_up(item: &Item, number: u32, layer: u8, camera: &Camera, height: usize, out: &mut Vec<Tri>) {
+fn set_up(
+    item: &Item,
+    number: u32,
+    layer: u8,
+    limit: f32,
+    camera: &Camera,
+    height: usize,
+    out: &mut Vec<Tri>,
+) {
+    let capped = layer > 0 && limit.is_finite();
     let scale = (SUPER * UNITS) as f32;
     let corners: Vec<Option<Corner>> = item
         .vertices
@@ -190,9 +215,10 @@ fn set_up(item: &Item, number: u32, layer: u8, camera: &Camera, height: usize, o
         };
         // y runs down: a triangle that faces the viewer has a negative area here.
         let area = cross(a, b, c);
-        let corner = match area.signum() {
-            -1 => [a, c, b],
-            1 if item.material.two_sided => [a, b, c],
+        let (corner, inside) = match area.signum() {
+            -1 => ([a, c, b], false),
+            1 if capped => ([a, b, c], true),
+            1 if item.material.two_sided => ([a, b, c], false),
             _ => continue,
         };
         let rows = corner
@@ -212,6 +238,8 @@ fn set_up(item: &Item, number: u32, layer: u8, camera: &Camera, height: usize, o
             corner,
             item: number,
             layer,
+            limit,
+            inside,
             rows,
         });
     }
@@ -302,7 +330,7 @@ fn fill(t: &Tri, number: u32, band: &Band, samples: &mut Samples) {
         let tris = &mut samples.tri[row + lo..=row + hi];
         for (k, (h, id)) in heights.iter_mut().zip(tris).enumerate() {
             let z = start + t.depth[1] * k as f32;
-            let nearer = z > *h;
+            let nearer = z > *h && z <= t.limit;
             *h = if nearer { z } else { *h };
             *id = if nearer { number } else { *id };
         }
@@ -372,6 +400,10 @@ fn sample_colour(
     at: (f32, f32),
 ) -> Rgb {
     let look = |layer: usize| tris.get(samples.tri[place(layer, s)] as usize);
+    let above = |layer: usize, t: &Tri| match t.inside {
+        true => t.limit,
+        false => samples.height[place(layer, s)],
+    };
     let (mut colour, mut height) = (ground, f32::NEG_INFINITY);
     if let Some(t) = look(0) {
         colour = shade(t, &materials[t.item as usize], at).0;
@@ -382,8 +414,9 @@ fn sample_colour(
     for _ in 1..band.layers {
         let next = (1..band.layers)
             .filter_map(|l| {
-                let lift = materials[look(l)?.item as usize].lift_mm;
-                Some((samples.height[place(l, s)] + lift, lift, l))
+                let t = look(l)?;
+                let lift = materials[t.item as usize].lift_mm;
+                Some((above(l, t) + lift, lift, l))
             })
             .filter(|&(h, ..)| h > done)
             .min_by(|a, b| a.0.total_cmp(&b.0));
@@ -399,6 +432,9 @@ fn sample_colour(
 
 /// Colour and opacity at a pixel's centre.
 fn shade(t: &Tri, m: &Material, (x, y): (f32, f32)) -> (Rgb, f32) {
+    if t.inside {
+        return (m.colour, m.cut.unwrap_or(m.opacity));
+    }
     if !m.lit {
         return (m.colour, m.opacity);
     }

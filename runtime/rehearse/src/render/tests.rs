@@ -91,6 +91,51 @@ fn triangles_that_share_edges_leave_no_gap_and_no_overlap() {
     assert_eq!((back(false), back(true)), ([0; 3], [255; 3]));
 }
 
+/// A ball of 9 mm cut 4 mm before its middle: a flat disc of radius √65 mm, the slope around it, and nothing of what lies before the plane.
+#[test]
+fn a_cut_opens_closed_surfaces_and_takes_away_what_lies_before_it() {
+    let (red, green) = ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0]);
+    let cut = |colour| Material {
+        cut: Some(1.0),
+        shine: 0.0,
+        ..Material::plain(colour)
+    };
+    let whole = ball(Vec3::new(0.0, 0.0, -4.0), 9.0, 96);
+    let before = ball(Vec3::new(0.0, 0.0, 8.0), 3.0, 24);
+    let inside = ball(Vec3::new(0.0, 0.0, 1.0), 2.0, 96);
+    let view = View3d {
+        veils: vec![
+            item(&whole, cut(red)),
+            item(&before, cut(green)),
+            item(
+                &inside,
+                Material {
+                    lift_mm: 0.5,
+                    ..cut(green)
+                },
+            ),
+        ],
+        cut_mm: Some(0.0),
+        ..View3d::default()
+    };
+    let image = drawn(&view, &camera(160, 120));
+    let count = |wanted: [u8; 3]| image.pixels.chunks(3).filter(|p| *p == wanted).count() as f64;
+    let disc = |squared: f64| std::f64::consts::PI * squared * 16.0;
+    // A smaller ball's face, √3 mm, over the larger one's.
+    let faces = [count([255, 0, 0]), count([0, 255, 0])];
+    assert!((faces[1] / disc(3.0) - 1.0).abs() < 0.15, "{faces:?}");
+    assert!((faces[0] / disc(65.0 - 3.0) - 1.0).abs() < 0.03, "{faces:?}");
+    // Between the face and the outline the ball's own surface, shaded.
+    let slope = image.get(80 + 34, 60);
+    assert!(slope[0] > 20 && slope[0] < 255 && slope[1] == 0, "{slope:?}");
+    let off = View3d { cut_mm: None, ..view };
+    assert_eq!(
+        drawn(&off, &camera(160, 120)).get(80, 60)[0],
+        0,
+        "uncut the green ball is in front"
+    );
+}
+
 #[test]
 fn nearer_wins_in_any_order_and_veils_let_through() {
     let red = Material {

@@ -2,7 +2,7 @@ mod needle;
 mod tissue;
 
 use super::names::nearest;
-use super::{FORMAT, Instrument, Press, SceneSource, ShapeKind};
+use super::{Cut, FORMAT, Instrument, Press, SceneSource, ShapeKind};
 use crate::RehearseError;
 use palpate_package::{ModelPackage, SurfaceKind};
 use palpate_pbd::PbdError;
@@ -118,6 +118,12 @@ impl SceneSource {
         let s = &self.scene;
         let v = &s.view;
         self.number("view.organ_opacity", v.organ_opacity, 0.0, 1.0, "0 to 1")?;
+        if v.cut == Some(Cut::Needle) && s.needles.is_empty() {
+            return Err(self.fault("view.cut", "a cut along a needle, and the scene has none"));
+        }
+        if let Some(mm) = v.span_mm {
+            self.number("view.span_mm", mm, 5.0, 2000.0, "5 to 2000 mm")?;
+        }
         for (key, px) in [("view.width_px", v.width_px), ("view.height_px", v.height_px)] {
             if !(160..=4096).contains(&px) {
                 return Err(self.fault(key, format!("{px} pixels, expected 160 to 4096")));

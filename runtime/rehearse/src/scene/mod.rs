@@ -416,6 +416,12 @@ pub struct View {
     /// Where the viewer stands, seen from the organ; absent: aslant, so that the instrument's side and the support show.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub from: Option<Direction>,
+    /// Whether organs are cut open for the viewer, who then looks straight at the cut, from the side of it that `from` is on.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cut: Option<Cut>,
+    /// Height and width of what is shown, around the middle of the first needle's way or else of everything, mm; absent: everything.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub span_mm: Option<f64>,
     /// Opacity of the organ where it faces the viewer, 0 to 1.
     pub organ_opacity: f64,
     /// Picture width, pixels.
@@ -428,11 +434,21 @@ impl Default for View {
     fn default() -> Self {
         Self {
             from: None,
+            cut: None,
+            span_mm: None,
             organ_opacity: 0.62,
             width_px: 1280,
             height_px: 720,
         }
     }
+}
+
+/// Plane along which a view is cut.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Cut {
+    /// That of the first needle's straight way and the side to which its bevel pushes at the start.
+    Needle,
 }
 
 /// What is kept. 0 steps: never.

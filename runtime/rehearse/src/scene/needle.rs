@@ -125,7 +125,7 @@ pub struct MembraneEntry {
     pub force_n: f64,
 }
 
-/// One movement of a needle's base. One of `steps`, `seconds` and `reach` says how long it takes.
+/// One movement of a needle's base. One of `steps`, `seconds`, `reach`, `reach_share` and `reach_depth_mm` says how long it takes.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct NeedleMotion {
@@ -141,6 +141,13 @@ pub struct NeedleMotion {
     /// Until as much needle is fed as takes a straight one there in tissue that does not move.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub reach: Option<Reach>,
+    /// The same to a share of the depth from the surface to the target, 0 to 1. A bevel that is turned by 180° at 0.293 of it
+    /// brings a path of constant curvature back onto the straight way: 1 − √½, so that y'' = κ, then −κ ends at y = 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reach_share: Option<f64>,
+    /// The same to a depth below the surface, mm along the straight way.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reach_depth_mm: Option<f64>,
     /// Speed at which the needle comes out of the sleeve, mm/s; negative: back.
     pub insertion_mm_s: f64,
     /// Turn about its axis over the whole movement, degrees.

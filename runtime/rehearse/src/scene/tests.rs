@@ -187,11 +187,28 @@ fn wrong_keys_units_values_and_names_are_told_with_their_line() {
         ),
         (
             "model = 'fem'\n[[needle]]\ntarget = 'structure'\n[[needle.motion]]\nsteps = 5\nreach = 'target'\n".into(),
-            "s.toml:4: expected one of steps, seconds and reach",
+            "s.toml:4: expected one of steps, seconds, reach, reach_share and reach_depth_mm",
         ),
         (
             "model = 'fem'\n[[needle]]\ntarget = 'structure'\n[[needle.motion]]\nreach = 'start'\ninsertion_mm_s = 5\n".into(),
             "s.toml:5: the start is reached with insertion_mm_s of -0.01 or less",
+        ),
+        (
+            "model = 'fem'\n[[needle]]\ntarget = 'structure'\n[[needle.motion]]\nreach_share = 29\ninsertion_mm_s = 5\n".into(),
+            "s.toml:5: reach_share is 29, expected 0 (the surface) to 1 (the target)",
+        ),
+        (
+            "model = 'fem'\n[[needle]]\nentry_mm = [0, 0, 0]\ndirection = 'left'\n[[needle.motion]]\nreach_share = 0.3\ninsertion_mm_s = 5\n"
+                .into(),
+            "s.toml:6: no target to reach a share of the way to; give reach_depth_mm",
+        ),
+        (
+            "model = 'fem'\n[[needle]]\ntarget = 'structure'\n[[needle.motion]]\nreach_depth_mm = 9\n".into(),
+            "s.toml:5: reached with insertion_mm_s of 0.01 or more, or, from beyond, of -0.01 or less",
+        ),
+        (
+            "[view]\nspan_mm = 40\ncut = 'needle'\n".into(),
+            "s.toml:3: a cut along a needle, and the scene has none",
         ),
         (
             "model = 'fem'\n[[hold]]\n[[hold]]\nbox_mm = [[0, 0, 0], [1, 0, 1]]\n".into(),

@@ -5,6 +5,7 @@ use crate::RehearseError;
 use crate::motion::RigidPose;
 use crate::output::{PointCloud, VtuArray};
 use crate::render::{Camera, FrameText, GreyImage, Mesh, Picture, SceneGeometry, draw_frame};
+use crate::scene::Cut;
 use crate::trace::{StepRow, UNCALIBRATED_SHORT};
 use glam::{DVec3, Vec3};
 use palpate_ultrasound::Level;
@@ -27,9 +28,17 @@ impl Session {
         let mut toward = (side + up * 0.42 + up.cross(side) * 0.28).normalize_or(Vec3::Z);
         if let Some(from) = view.from {
             toward = from.unit().as_vec3();
-            if up.cross(toward).length() < 1e-3 {
-                up = Vec3::Z;
-            }
+        }
+        let way = match &self.engine {
+            Engine::Tissue(t) => t.first_way(),
+            _ => None,
+        };
+        if let (Some(Cut::Needle), Some((_, along, side, _))) = (view.cut, way) {
+            let across = along.cross(side).as_vec3().normalize_or(Vec3::Z);
+            toward = across * if across.dot(toward) < 0.0 { -1.0 } else { 1.0 };
+        }
+        if up.cross(toward).length() < 1e-3 {
+            up = Vec3::Z;
         }
         let tools: Vec<Mesh> = self.tools.iter().map(|t| placed(&t.mesh, t.start)).collect();
         let points = self
@@ -42,7 +51,23 @@ impl Session {
         let mut out = Camera::framing(points, toward, up, across, height);
         // Room for the support around the organ.
         out.px_per_mm *= 0.9;
+        if let Some(span) = view.span_mm {
+            out.px_per_mm = across.min(height) as f32 / span as f32;
+            if let Some((start, _, _, Some(target))) = way {
+                out.centre = (0.5 * (start + target)).as_vec3();
+            }
+        }
         out
+    }
+
+    /// Where the view is cut, mm towards the viewer from the camera's centre.
+    fn cut_mm(&self, camera: &Camera) -> Option<f32> {
+        let Engine::Tissue(t) = &self.engine else {
+            return None;
+        };
+        self.scene.view.cut?;
+        let (start, ..) = t.first_way()?;
+        Some((start.as_vec3() - camera.centre).dot(camera.toward))
     }
 
     /// The picture after the last step: the view at the left, the ultrasound image and the figures beside it.
@@ -64,10 +89,16 @@ impl Session {
                 .collect(),
             supports: self.supports.iter().collect(),
             instruments: self.tools.iter().map(|t| placed(&t.mesh, t.now)).collect(),
-            needles: self.needle_meshes(0.7).into_iter().map(|n| n.1).collect(),
+            // No thinner than shows.
+            needles: self
+                .needle_meshes(0.7f32.min(2.5 / camera.px_per_mm))
+                .into_iter()
+                .map(|n| n.1)
+                .collect(),
             targets: self.targets(),
             fiducials: &self.organs[0].fiducials.points,
             plane: self.imaging.as_ref().map(|i| self.plane(i)),
+            cut_mm: self.cut_mm(camera),
         };
         let view = &self.scene.view;
         let image = self.cropped();

@@ -169,9 +169,18 @@ impl SceneSource {
 
     fn motion(&self, at: &str, m: &NeedleMotion, aimed: bool) -> Result<(), RehearseError> {
         let key = |k: &str| format!("{at}.{k}");
-        let given = [m.steps.is_some(), m.seconds.is_some(), m.reach.is_some()];
+        let given = [
+            m.steps.is_some(),
+            m.seconds.is_some(),
+            m.reach.is_some(),
+            m.reach_share.is_some(),
+            m.reach_depth_mm.is_some(),
+        ];
         if given.iter().filter(|g| **g).count() != 1 {
-            return Err(self.fault(at, "expected one of steps, seconds and reach"));
+            return Err(self.fault(
+                at,
+                "expected one of steps, seconds, reach, reach_share and reach_depth_mm",
+            ));
         }
         if let Some(n) = m.steps
             && !(1..=MOST_STEPS).contains(&n)
@@ -196,6 +205,41 @@ impl SceneSource {
             "-36000 to 36000 degrees",
         )?;
         self.numbers(&key("velocity_mm_s"), &m.velocity_mm_s, 500.0)?;
+        if let Some(share) = m.reach_share {
+            self.number(
+                &key("reach_share"),
+                share,
+                0.0,
+                1.0,
+                "0 (the surface) to 1 (the target)",
+            )?;
+            if !aimed {
+                return Err(self.fault(
+                    &key("reach_share"),
+                    "no target to reach a share of the way to; give reach_depth_mm",
+                ));
+            }
+        }
+        if let Some(mm) = m.reach_depth_mm {
+            self.number(
+                &key("reach_depth_mm"),
+                mm,
+                0.0,
+                500.0,
+                "0 to 500 mm below the surface",
+            )?;
+        }
+        for (k, given) in [
+            ("reach_share", m.reach_share),
+            ("reach_depth_mm", m.reach_depth_mm),
+        ] {
+            if given.is_some() && m.insertion_mm_s.abs() < 0.01 {
+                return Err(self.fault(
+                    &key(k),
+                    "reached with insertion_mm_s of 0.01 or more, or, from beyond, of -0.01 or less",
+                ));
+            }
+        }
         match m.reach {
             Some(Reach::Target) if !aimed => Err(self.fault(&key("reach"), "no target to reach")),
             Some(Reach::Target) if m.insertion_mm_s < 0.01 => Err(self.fault(

@@ -270,6 +270,12 @@ impl TissueEngine {
             .collect()
     }
 
+    /// Of the first needle, world mm: where its tip starts and points, the side to which its bevel pushes, its target.
+    pub(super) fn first_way(&self) -> Option<(DVec3, DVec3, DVec3, Option<DVec3>)> {
+        let p = self.plans.first()?;
+        Some((p.start, p.direction, p.side, p.target))
+    }
+
     /// Movements of the first needle: name, first and last step.
     pub(super) fn movements(&self) -> Vec<(String, u32, u32)> {
         let first = self.plans.first().into_iter();

@@ -33,6 +33,8 @@ pub(super) struct Plan {
     /// Where the tip starts, and where it points.
     pub(super) start: DVec3,
     pub(super) direction: DVec3,
+    /// Across it: where its bevel pushes at the start.
+    pub(super) side: DVec3,
     pub(super) segments: Vec<Segment>,
     pub(super) warnings: Vec<String>,
 }
@@ -109,8 +111,11 @@ impl Plan {
                 warn(format!("it points {beside:.1} mm past its target"));
             }
         }
-        let reach = target.map(|t| (t - start).dot(direction));
-        let segments = segments(&entry.motions, reach, dt_s).map_err(refuse)?;
+        let way = Way {
+            surface_mm: hits(mesh, &faces, start, direction).first().map(|h| h.0),
+            target_mm: target.map(|t| (t - start).dot(direction)),
+        };
+        let segments = segments(&entry.motions, &way, dt_s).map_err(refuse)?;
         let fed = most_fed(&segments, dt_s);
         if entry.free_mm + fed > entry.length_mm {
             return Err(refuse(format!(
@@ -121,7 +126,8 @@ impl Plan {
                 (entry.free_mm + fed).ceil()
             )));
         }
-        let rod = rod(entry, start, direction).map_err(|e| failed(&entry.name, e, origin))?;
+        let side = side(entry, direction);
+        let rod = rod(entry, start, direction, side).map_err(|e| failed(&entry.name, e, origin))?;
         Ok(Self {
             name: entry.name.clone(),
             friction: entry.friction(regions, &scene.holds),
@@ -130,6 +136,7 @@ impl Plan {
             target,
             start,
             direction,
+            side,
             segments,
             warnings,
         })
@@ -175,14 +182,17 @@ pub(super) fn failed(name: &str, error: NeedleError, origin: DVec3) -> RehearseE
     }
 }
 
-/// A straight rod whose tip is at `start`.
-fn rod(entry: &NeedleEntry, start: DVec3, direction: DVec3) -> Result<Rod, NeedleError> {
-    // The bevel pushes towards m2 = t × m1.
+/// Where the bevel pushes, across the direction.
+fn side(entry: &NeedleEntry, direction: DVec3) -> DVec3 {
     let wanted = entry.bevel_towards.map_or(DVec3::Z, |d| d.unit());
     let across = |v: DVec3| (v - direction * v.dot(direction)).try_normalize();
-    let m2 = across(wanted)
+    across(wanted)
         .or_else(|| across(DVec3::X))
-        .unwrap_or_else(|| direction.any_orthonormal_vector());
+        .unwrap_or_else(|| direction.any_orthonormal_vector())
+}
+
+/// A straight rod whose tip is at `start`; its bevel pushes towards m2 = t × m1.
+fn rod(entry: &NeedleEntry, start: DVec3, direction: DVec3, m2: DVec3) -> Result<Rod, NeedleError> {
     let edges = (entry.free_mm / entry.edge_mm).ceil().max(1.0) as usize;
     let free = entry.free_mm;
     Rod::in_sleeve(
@@ -253,17 +263,41 @@ fn hits(mesh: &TissueMesh, faces: &[[u32; 3]], p: DVec3, d: DVec3) -> Vec<(f64, 
     out
 }
 
-/// The movements one after the other; `reach_mm` is the way to the target.
-fn segments(motions: &[NeedleMotion], reach_mm: Option<f64>, dt_s: f64) -> Result<Vec<Segment>, String> {
+/// Lengths along the straight way from where the tip starts, mm.
+#[derive(Clone, Copy, Debug, Default)]
+struct Way {
+    surface_mm: Option<f64>,
+    target_mm: Option<f64>,
+}
+
+impl Way {
+    /// Where a movement ends, if it ends at a place.
+    fn goal(&self, m: &NeedleMotion) -> Result<Option<f64>, String> {
+        let target = || self.target_mm.ok_or("has no target to reach");
+        let surface = || {
+            self.surface_mm.ok_or(
+                "misses the organ on its straight way, so that no depth can be counted; point it at the organ, or give steps or seconds",
+            )
+        };
+        Ok(match (m.reach, m.reach_share, m.reach_depth_mm) {
+            (Some(Reach::Target), ..) => Some(target()?),
+            (Some(Reach::Start), ..) => Some(0.0),
+            (None, Some(share), _) => {
+                let from = surface()?;
+                Some(from + share * (target()? - from))
+            }
+            (None, None, Some(mm)) => Some(surface()? + mm),
+            _ => None,
+        })
+    }
+}
+
+/// The movements one after the other.
+fn segments(motions: &[NeedleMotion], way: &Way, dt_s: f64) -> Result<Vec<Segment>, String> {
     let (mut out, mut fed, mut step) = (Vec::new(), 0.0, 0u32);
     for (n, m) in motions.iter().enumerate() {
         let name = m.name.clone().unwrap_or_else(|| format!("motion {}", n + 1));
-        let goal = match m.reach {
-            Some(Reach::Target) => Some(reach_mm.ok_or("has no target to reach")?),
-            Some(Reach::Start) => Some(0.0),
-            None => None,
-        };
-        let (steps, speed) = match goal {
+        let (steps, speed) = match way.goal(m)? {
             Some(goal) => {
                 let way: f64 = goal - fed;
                 let steps = (way / (m.insertion_mm_s * dt_s) - 1e-6).ceil();
@@ -330,7 +364,11 @@ mod tests {
             },
             motion(Some(Reach::Start), -20.0),
         ];
-        let s = segments(&list, Some(33.3), 0.02).unwrap();
+        let to = |mm| Way {
+            surface_mm: Some(3.3),
+            target_mm: Some(mm),
+        };
+        let s = segments(&list, &to(33.3), 0.02).unwrap();
         // 33.3 mm in steps of 0.2 mm, half a second, and back in steps of 0.4 mm.
         assert_eq!(s.iter().map(|s| s.last).collect::<Vec<_>>(), [167, 192, 276]);
         assert!((s[0].motion.insertion_mm_per_s * 167.0 * 0.02 - 33.3).abs() < 1e-12);
@@ -338,11 +376,38 @@ mod tests {
         assert!((most_fed(&s, 0.02) - 33.3).abs() < 1e-12);
         assert!(s[0].at_target && !s[2].at_target);
         assert!(
-            segments(&list, Some(-4.0), 0.02)
+            segments(&list, &to(-4.0), 0.02)
                 .unwrap_err()
                 .contains("-4.0 mm to go")
         );
-        assert!(segments(&list[2..], Some(9.0), 0.02).is_err());
+        assert!(segments(&list[2..], &to(9.0), 0.02).is_err());
+        // 0.4 of the 30 mm below the surface, on to 20 mm, back to 5.
+        let at = |reach_share, reach_depth_mm, insertion_mm_s| NeedleMotion {
+            reach_share,
+            reach_depth_mm,
+            insertion_mm_s,
+            ..NeedleMotion::default()
+        };
+        let list = [
+            at(Some(0.4), None, 10.0),
+            at(None, Some(20.0), 10.0),
+            at(None, Some(5.0), -10.0),
+        ];
+        let s = segments(&list, &to(33.3), 0.02).unwrap();
+        assert_eq!(s.iter().map(|s| s.last).collect::<Vec<_>>(), [77, 117, 192]);
+        let fed = |n: usize| f64::from(s[n].last + 1 - s[n].first) * 0.02 * s[n].motion.insertion_mm_per_s;
+        for (n, mm) in [15.3, 8.0, -15.0].into_iter().enumerate() {
+            assert!((fed(n) - mm).abs() < 1e-9, "{n}: {}", fed(n));
+        }
+        let beside = Way {
+            surface_mm: None,
+            ..to(33.3)
+        };
+        assert!(
+            segments(&list, &beside, 0.02)
+                .unwrap_err()
+                .contains("misses the organ")
+        );
     }
 
     #[test]
