@@ -36,6 +36,8 @@ pub struct Needle {
     /// Membranes that the tip lay in after the last part.
     within: Vec<bool>,
     last_membrane: Option<String>,
+    /// Speed at which the base pushed along the needle when it last moved, mm/s.
+    speed: f64,
 }
 
 impl Needle {
@@ -68,6 +70,11 @@ impl Needle {
     pub fn tip(&self) -> DVec3 {
         let x = self.rod.position();
         x[x.len() - 1]
+    }
+
+    /// Speed at which the base pushes along the needle, mm/s.
+    fn base_speed(&self, motion: &BaseMotion) -> f64 {
+        motion.insertion_mm_per_s + DVec3::from_array(motion.velocity_mm_per_s).dot(self.rod.frame(0).tangent)
     }
 
     /// First node of the rod that the tissue holds; the number of nodes where none is.
@@ -117,6 +124,8 @@ pub struct Insertion {
     needles: Vec<Needle>,
     /// Accelerations of the tissue after the last parts, the latest first.
     history: Vec<Vec<DVec3>>,
+    /// States that a longer part ended with which was tried from the state at hand.
+    guess: Option<Vec<FrictionState>>,
 }
 
 impl Insertion {
@@ -131,6 +140,7 @@ impl Insertion {
             params,
             needles: Vec::new(),
             history: Vec::new(),
+            guess: None,
         })
     }
 
@@ -190,6 +200,7 @@ impl Insertion {
             beyond: 0,
             states: vec![FrictionState::Static; chain.len()],
             last_membrane: None,
+            speed: 0.0,
             rod,
             friction,
             limits,

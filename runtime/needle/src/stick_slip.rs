@@ -91,9 +91,10 @@ pub struct StickSlipParams {
     pub solution_tolerance: f64,
     /// Trials at most; the last is accepted as it is. Default 10, the paper's.
     pub max_trials: usize,
-    /// Violation of a force limit that counts in the final check, relative to the largest limit. Default 1e-6.
+    /// Violation of a force limit that counts in the final check, relative to the largest limit. Default 1e-3: the final residual is
+    /// relative to all forces of the tissue, and below that part of a node's limit a needle at rest changes states by rounding.
     pub force_tolerance: f64,
-    /// Slip the wrong way that counts in the final check, mm. Default 1e-6.
+    /// Slip the wrong way that counts in the final check, mm. Default 1e-5 (0.5 µm/s in steps of 20 ms).
     pub slip_tolerance_mm: f64,
 }
 
@@ -103,8 +104,8 @@ impl Default for StickSlipParams {
             check_tolerance: 1e-3,
             solution_tolerance: 1e-5,
             max_trials: 10,
-            force_tolerance: 1e-6,
-            slip_tolerance_mm: 1e-6,
+            force_tolerance: 1e-3,
+            slip_tolerance_mm: 1e-5,
         }
     }
 }
@@ -311,5 +312,7 @@ pub fn carry_states(before: &[(f64, FrictionState)], now_mm: &[f64]) -> Vec<Fric
         .collect()
 }
 
+#[cfg(test)]
+mod judge;
 #[cfg(test)]
 mod tests;

@@ -84,9 +84,12 @@ impl Insertion {
                 Err(NeedleError::Folded { .. } | NeedleError::ShortEdge { .. }) => true,
                 Err(_) => false,
             };
+            let tried_states = tried.as_ref().ok().map(|s| s.states.clone());
             let mut result = tried;
             if violent {
                 self.return_to(&rods, &saved);
+                // A longer part is the best guess of a shorter one from the same state.
+                self.guess = tried_states;
                 if may_halve {
                     return self.halves(dt, halvings, last, motion, report);
                 }
@@ -205,6 +208,25 @@ impl Insertion {
         limits
     }
 
+    /// States to try first: those of a longer part tried from the same state, else those of the part before; where the base has turned back,
+    /// what slid sticks.
+    fn first_guess(&mut self, motion: &[BaseMotion]) -> Vec<FrictionState> {
+        let carried = self.needles.iter_mut().zip(motion).flat_map(|(n, m)| {
+            let speed = n.base_speed(m);
+            let turned = speed * n.speed < 0.0;
+            if speed != 0.0 {
+                n.speed = speed;
+            }
+            match turned {
+                true => vec![FrictionState::Static; n.states.len()],
+                false => n.states.clone(),
+            }
+        });
+        let carried: Vec<FrictionState> = carried.collect();
+        let tried = self.guess.take().filter(|g| g.len() == carried.len());
+        tried.unwrap_or(carried)
+    }
+
     /// Solves a part of `dt` and moves the rods; the tissue's state stays until the part is ended.
     fn attempt(
         &mut self,
@@ -240,7 +262,7 @@ impl Insertion {
             .iter()
             .flat_map(|n| self.friction_limits(n))
             .collect();
-        let mut states: Vec<FrictionState> = self.needles.iter().flat_map(|n| n.states.clone()).collect();
+        let mut states = self.first_guess(motion);
         report.needle_time_s += start.elapsed().as_secs_f64();
 
         let start = Instant::now();

@@ -285,6 +285,67 @@ fn reversal_settles_within_ten_trials() {
     }
 }
 
+/// A 25 nodes long needle against the exact solution of its complementarity problem by block pivoting, which the trials reach within ten.
+#[test]
+fn agrees_with_block_pivoting() {
+    let mut random = Random(23);
+    let q = 25;
+    for (case, neighbour) in (0..120).zip([3.0, 300.0, 3e4].into_iter().cycle()) {
+        let (mut line, limits) = random.line(q);
+        line.needle = random.chain(q, 0.1, neighbour, 0.0);
+        line.needle_rhs[0] = 25.0 * random.next();
+        let sliding = vec![Forward; q];
+        let mut slips = |drag: &[f64]| -> Vec<f64> {
+            line.solution = line.exact(&sliding, drag);
+            (0..q).map(|i| line.slip_mm(i)).collect()
+        };
+        let free = slips(&vec![0.0; q]);
+        let mut answer = vec![vec![0.0; q]; q];
+        for j in 0..q {
+            let unit: Vec<f64> = (0..q).map(|i| f64::from(u8::from(i == j))).collect();
+            for (i, s) in slips(&unit).into_iter().enumerate() {
+                answer[i][j] = free[i] - s;
+            }
+        }
+        let guess = [Forward, Backward, Static][case % 3];
+        let exact = judge::solve_boxed(&answer, &free, &limits, &vec![guess; q]).unwrap();
+        assert!(line.is_consistent(&limits, &exact), "{case}");
+        let outcome = solve_stick_slip(&mut line, &limits, &vec![guess; q], &sharp()).unwrap();
+        assert!(outcome.consistent && outcome.trials <= 10, "{case}: {outcome:?}");
+        assert_eq!(outcome.states, exact, "{case}");
+    }
+}
+
+/// What is left of a violation at rest, below a thousandth of the friction and far below what a needle moves in a step, changes no state.
+#[test]
+fn noise_changes_no_state() {
+    struct Still(f64);
+    impl StickSlipSystem for Still {
+        type Error = NeedleError;
+        fn clear(&mut self) {}
+        fn solve(&mut self, _: &[FrictionState], _: &[f64], _: f64) -> Result<usize, NeedleError> {
+            Ok(0)
+        }
+        fn constraint_force_un(&self, _: usize) -> f64 {
+            -1e4 * (1.0 + self.0)
+        }
+        fn slip_mm(&self, _: usize) -> f64 {
+            -self.0 * 1e-2
+        }
+    }
+    let limits = [FrictionLimit {
+        friction_un: 1e4,
+        cutting_un: 0.0,
+    }; 2];
+    let params = StickSlipParams::default();
+    for (part, trials) in [(5e-4, 1), (2e-3, 2)] {
+        let guess = [Static, Forward];
+        let outcome = solve_stick_slip(&mut Still(part), &limits, &guess, &params).unwrap();
+        assert_eq!(outcome.trials.min(2), trials);
+        assert_eq!(outcome.states == guess, trials == 1);
+    }
+}
+
 /// A needle of eight nodes pushed and pulled in turn, states carried from step to step: nearly always the guess is right.
 #[test]
 fn states_carry_from_step_to_step() {
