@@ -239,7 +239,8 @@ fn experiment(
     };
     let mut times = Vec::new();
     let mut since_puncture: Option<usize> = None;
-    for step in 0..2 * inwards + turning {
+    let end = if std::env::var("BV_IN").is_ok() { 1 } else { 2 };
+    for step in 0..end * inwards + turning {
         let half = inwards / 2;
         let mut m = BaseMotion::default();
         if step < half || (half + turning..inwards + turning).contains(&step) {
@@ -267,7 +268,7 @@ fn experiment(
             trace.turned = trace.cut.len();
         }
         if (step + 1) % every == 0 {
-            trace.markers.push(place(s.tissue(), &markers));
+            trace.markers.push(if end == 1 { Vec::new() } else { place(s.tissue(), &markers) });
             trace.tips.push(n.tip);
         }
         if since_puncture.is_some_and(|p| step > p + 20) && step % 5 == 0 {

@@ -2,6 +2,7 @@
 //! enter, advance, turn back and leave.
 
 mod advance;
+mod bevel;
 mod chain;
 mod params;
 mod report;
@@ -16,7 +17,7 @@ mod unknowns;
 use crate::{BaseMotion, EdgeLimits, FrictionState, NeedleError, Rod, Track, locate};
 use glam::DVec3;
 use palpate_fem::Simulation;
-pub use params::{InsertionParams, Linear, Membrane, NeedleFriction, RegionCutting};
+pub use params::{CutLaw, InsertionParams, Linear, Membrane, NeedleFriction, RegionCutting};
 pub use report::{Event, InsertionReport, NeedleReport};
 use surface::Layer;
 

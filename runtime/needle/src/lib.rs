@@ -30,7 +30,7 @@ pub use bicycle::{Bicycle, BicycleParams};
 pub use error::NeedleError;
 pub use frame::{MaterialFrame, transport};
 pub use insertion::{
-    Event, Insertion, InsertionParams, InsertionReport, Linear, Membrane, Needle, NeedleFriction,
+    CutLaw, Event, Insertion, InsertionParams, InsertionReport, Linear, Membrane, Needle, NeedleFriction,
     NeedleReport, RegionCutting,
 };
 pub use params::{NeedleParams, PreBend, Stiffness, gauge_outer_diameter_mm};

@@ -17,6 +17,7 @@ use candidate::{Candidate, Goal, Grip, Motion, Search, Site, best, surroundings}
 use edit::Change;
 use glam::DVec3;
 pub use locate::locate;
+pub(crate) use locate::walk;
 use locate::{Crossing, blend, locate_in, state_at, trace};
 use palpate_fem::{NodeState, Simulation, Tet};
 use serde::{Deserialize, Serialize};

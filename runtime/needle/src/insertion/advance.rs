@@ -20,6 +20,8 @@ pub(super) struct Solved {
     needle: Vec<Vec<DVec3>>,
     /// States of all shared nodes.
     pub states: Vec<FrictionState>,
+    /// Force of the tissue on each shared node, µN, in the order of `states`.
+    pub forces: Vec<DVec3>,
     /// Slip of each needle's tip, mm.
     pub slip: Vec<f64>,
     /// Largest slip of any of its shared nodes, mm.
@@ -311,6 +313,7 @@ impl Insertion {
                 cutting: vec![0.0; strands.len()],
                 a: Vec::new(),
                 needle: Vec::new(),
+                forces: Vec::new(),
                 states: outcome.states,
             };
             for (k, n) in coupled.nodes.iter().enumerate() {
@@ -337,6 +340,7 @@ impl Insertion {
                 states = solved.states;
                 continue;
             }
+            solved.forces = forces;
             report.consistent &= outcome.consistent;
             report.contacts_open = open;
             break solved;

@@ -2,7 +2,8 @@
 
 use super::advance::Solved;
 use super::surface::entry_point;
-use super::{Event, Insertion, InsertionReport, Needle};
+use super::bevel::Part;
+use super::{CutLaw, Event, Insertion, InsertionReport, Needle};
 use crate::{FrictionState, NeedleError, Rod, Track, carry_states, locate};
 use glam::{DMat3, DVec3};
 use palpate_fem::{NodeState, Tet};
@@ -87,7 +88,12 @@ impl Insertion {
                 true => None,
                 false => Some(solved.states[end - 1]),
             };
-            goals.push(self.goal(k, &before[k], state, solved.slip[k])?);
+            let part = Part {
+                before: &before[k],
+                forces: &solved.forces[end - n.chain.len()..end],
+                slip: solved.slip[k],
+            };
+            goals.push(self.goal(k, &part, state)?);
         }
         Ok(goals)
     }
@@ -95,14 +101,13 @@ impl Insertion {
     fn goal(
         &self,
         k: usize,
-        before: &Rod,
+        part: &Part,
         state: Option<FrictionState>,
-        slip: f64,
     ) -> Result<Goal, NeedleError> {
-        let n = &self.needles[k];
+        let (n, slip) = (&self.needles[k], part.slip);
         let tip = n.tip();
         let Some(state) = state else {
-            let x = before.position();
+            let x = part.before.position();
             let from = x[x.len() - 1];
             let inwards = (tip - from).dot(n.rod.tip_frame().tangent) > 0.0;
             if !inwards || locate(&self.tissue, tip, 0).is_none() {
@@ -114,7 +119,7 @@ impl Insertion {
             return Ok(Goal::Stay);
         }
         if n.beyond > 0 {
-            return self.pierced(k, slip);
+            return self.pierced(k, part);
         }
         let place = self.tip_place(n.chain[n.chain.len() - 1], tip, slip);
         match state {
@@ -130,7 +135,7 @@ impl Insertion {
                         _ => Err(NeedleError::LeavesTissue { needle: k, at: tip }),
                     };
                 };
-                self.cut(k, slot, weights, slip)
+                self.cut(k, part, slot, weights)
             }
             FrictionState::Backward if slip < -LEAST_SLIP_MM => {
                 let inside: f64 = n.lengths().iter().sum();
@@ -150,7 +155,7 @@ impl Insertion {
     }
 
     /// Cuts on to a place in the deformed tissue.
-    fn cut(&self, k: usize, slot: u32, weights: [f64; 4], slip: f64) -> Result<Goal, NeedleError> {
+    fn cut(&self, k: usize, part: &Part, slot: u32, weights: [f64; 4]) -> Result<Goal, NeedleError> {
         let n = &self.needles[k];
         let tip = n.tip();
         let Some(tet) = self.tissue.mesh().tet(slot) else {
@@ -164,8 +169,14 @@ impl Insertion {
             });
         }
         let mut state = self.state_in(tet, weights);
-        let bevel = slip * n.friction.bevel_degrees.to_radians().tan();
-        if bevel != 0.0 {
+        let mean = match self.params.cut_law {
+            CutLaw::Mean => self.cut_place(n, part, slot, state.rest),
+            CutLaw::Tet => None,
+        };
+        if let Some(to) = mean {
+            state.rest = to;
+        } else {
+            let bevel = part.slip.max(0.0) * n.friction.bevel_degrees.to_radians().tan();
             state.rest += self.material_direction(tet, n.rod.tip_frame().m2) * bevel;
         }
         state.position = tip;
@@ -173,7 +184,7 @@ impl Insertion {
     }
 
     /// A tip past the surface while the dent goes back: taken up where the tissue around the entry is upright again.
-    fn pierced(&self, k: usize, slip: f64) -> Result<Goal, NeedleError> {
+    fn pierced(&self, k: usize, part: &Part) -> Result<Goal, NeedleError> {
         let n = &self.needles[k];
         let (tip, entry) = (n.tip(), n.chain[0]);
         let ahead = tip - self.tissue.positions()[entry as usize];
@@ -194,7 +205,7 @@ impl Insertion {
         if far > 2.0 * depth + self.size_at(entry) {
             return Ok(Goal::Stay);
         }
-        self.cut(k, slot, weights, slip.max(0.0))
+        self.cut(k, part, slot, weights)
     }
 
     /// Whether a tet around a node is flat or turned over.

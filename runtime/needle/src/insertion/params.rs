@@ -53,7 +53,8 @@ pub struct NeedleFriction {
     /// Regions that no needle enters: bone.
     pub rigid_regions: Vec<u16>,
     /// Bevel angle ψ, degrees: how far aside the tip goes in the tissue's material for its advance (tan ψ). It is a parameter of the model,
-    /// fitted to the curvature of the path, not the angle to which the tip is ground. Default 0: a symmetric tip.
+    /// fitted to the curvature of the path, about tan ψ over the length in which the needle bends, not the angle to which the tip is ground.
+    /// Default 0: a symmetric tip.
     pub bevel_degrees: f64,
 }
 
@@ -132,6 +133,19 @@ pub enum Linear {
     SaddleMinres,
 }
 
+/// In which direction of the material a tip cuts.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum CutLaw {
+    /// In the needle's, as the tissue around the tip has it on the average over the length in which the needle bends, corrected for what the mesh
+    /// holds more stiffly than tissue does; the bevel adds tan ψ of the way cut. Holds for any size of the tets.
+    #[default]
+    Mean,
+    /// The paper's (Chentanez et al. 2009, §3.4.1 and §3.5): to the world tip's place in the one tet that holds it, with tan ψ of the slip aside. A
+    /// bevel angle then belongs to a size of the tets: the finer they are, the straighter the path.
+    Tet,
+}
+
 /// Settings of an [`crate::Insertion`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -142,6 +156,8 @@ pub struct InsertionParams {
     pub linear: Linear,
     /// Iterations of one solve at most. Default 4000, several times what the paper needed.
     pub solver_iterations: usize,
+    /// In which direction of the material a tip cuts.
+    pub cut_law: CutLaw,
     /// Slip of a tip in one part of a step at most, of the size of a tet there. Default 0.5: remeshing wants less than one.
     pub most_slip: f64,
     /// Turn of a needle edge in one part of a step at most, rad. Default 0.05, as for a needle alone.
@@ -164,6 +180,7 @@ impl Default for InsertionParams {
         Self {
             stick_slip: StickSlipParams::default(),
             linear: Linear::default(),
+            cut_law: CutLaw::default(),
             solver_iterations: 4000,
             most_slip: 0.5,
             most_turn_rad: 0.05,

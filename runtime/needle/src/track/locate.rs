@@ -56,23 +56,8 @@ pub fn locate(sim: &Simulation, point: DVec3, hint: u32) -> Option<(u32, [f64; 4
 
 /// As [`locate`], with any positions of the nodes.
 pub(super) fn locate_in(mesh: &TissueMesh, at: &[DVec3], point: DVec3, hint: u32) -> Option<(u32, [f64; 4])> {
-    let mut slot = hint;
-    for _ in 0..MOST_STEPS {
-        let Some(tet) = mesh.tet(slot) else { break };
-        let w = barycentric(corners(tet, at), point);
-        if inside(w) {
-            return Some((slot, w));
-        }
-        let mut order = [0, 1, 2, 3];
-        order.sort_by(|&i, &j| w[i].total_cmp(&w[j]));
-        let next = order
-            .into_iter()
-            .filter(|&i| w[i] < 0.0)
-            .find_map(|i| across(mesh, slot, tet, i));
-        match next {
-            Some(t) => slot = t,
-            None => break,
-        }
+    if let Some(found) = walk(mesh, at, point, hint) {
+        return Some(found);
     }
     let mut best: Option<(f64, u32, [f64; 4])> = None;
     for (slot, tet) in mesh.tets() {
@@ -91,6 +76,25 @@ pub(super) fn locate_in(mesh: &TissueMesh, at: &[DVec3], point: DVec3, hint: u32
         }
     }
     best.map(|(_, slot, w)| (slot, w))
+}
+
+/// As [`locate_in`], but by the walk alone: cheap for a point outside, which it may also say of one behind a hollow of the boundary.
+pub(crate) fn walk(mesh: &TissueMesh, at: &[DVec3], point: DVec3, hint: u32) -> Option<(u32, [f64; 4])> {
+    let mut slot = hint;
+    for _ in 0..MOST_STEPS {
+        let tet = mesh.tet(slot)?;
+        let w = barycentric(corners(tet, at), point);
+        if inside(w) {
+            return Some((slot, w));
+        }
+        let mut order = [0, 1, 2, 3];
+        order.sort_by(|&i, &j| w[i].total_cmp(&w[j]));
+        slot = order
+            .into_iter()
+            .filter(|&i| w[i] < 0.0)
+            .find_map(|i| across(mesh, slot, tet, i))?;
+    }
+    None
 }
 
 /// State of the tissue at weights of four nodes, `rest` aside.
