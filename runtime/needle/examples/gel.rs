@@ -62,7 +62,7 @@ impl Default for Setup {
             },
             needle: NeedleParams::default(),
             friction: NeedleFriction {
-                bevel_degrees: 6.92,
+                bevel_degrees: 6.1,
                 ..NeedleFriction::default()
             },
             bicycle: BicycleParams::default(),
@@ -239,8 +239,7 @@ fn experiment(
     };
     let mut times = Vec::new();
     let mut since_puncture: Option<usize> = None;
-    let end = if std::env::var("BV_IN").is_ok() { 1 } else { 2 };
-    for step in 0..end * inwards + turning {
+    for step in 0..2 * inwards + turning {
         let half = inwards / 2;
         let mut m = BaseMotion::default();
         if step < half || (half + turning..inwards + turning).contains(&step) {
@@ -268,7 +267,7 @@ fn experiment(
             trace.turned = trace.cut.len();
         }
         if (step + 1) % every == 0 {
-            trace.markers.push(if end == 1 { Vec::new() } else { place(s.tissue(), &markers) });
+            trace.markers.push(place(s.tissue(), &markers));
             trace.tips.push(n.tip);
         }
         if since_puncture.is_some_and(|p| step > p + 20) && step % 5 == 0 {

@@ -72,7 +72,9 @@ impl Insertion {
     /// As far as `literal`, but in the direction that the tissue around the tip has on the average, over the length in which the needle bends:
     /// one tet goes back from tissue that the needle drags along to tissue at rest, the more steeply, the smaller it is.
     pub(super) fn cut_place(&self, needle: &Needle, part: &Part, slot: u32, literal: DVec3) -> Option<DVec3> {
-        let [.., _, last] = needle.chain[..] else { return None };
+        let [.., _, last] = needle.chain[..] else {
+            return None;
+        };
         let mesh = self.tissue.mesh();
         let from = mesh.rest()[last as usize];
         let tet = mesh.tet(slot)?;

@@ -1,8 +1,8 @@
 //! After the solve: tissue nodes follow the needle, needle nodes follow the tissue (Chentanez et al. 2009, §3.4).
 
 use super::advance::Solved;
-use super::surface::entry_point;
 use super::bevel::Part;
+use super::surface::entry_point;
 use super::{CutLaw, Event, Insertion, InsertionReport, Needle};
 use crate::{FrictionState, NeedleError, Rod, Track, carry_states, locate};
 use glam::{DMat3, DVec3};
@@ -98,12 +98,7 @@ impl Insertion {
         Ok(goals)
     }
 
-    fn goal(
-        &self,
-        k: usize,
-        part: &Part,
-        state: Option<FrictionState>,
-    ) -> Result<Goal, NeedleError> {
+    fn goal(&self, k: usize, part: &Part, state: Option<FrictionState>) -> Result<Goal, NeedleError> {
         let (n, slip) = (&self.needles[k], part.slip);
         let tip = n.tip();
         let Some(state) = state else {

@@ -23,8 +23,8 @@ pub struct NeedleEntry {
     pub inner_diameter_mm: f64,
     /// Young's modulus, Pa. 60e9: nitinol, flexible; steel has 200e9.
     pub youngs_modulus_pa: f64,
-    /// How far aside the tip goes for its advance, degrees; fitted to the curvature of the path, not the angle to which the tip is
-    /// ground. 10: a needle that steers visibly in soft tissue.
+    /// How far aside the tip goes for its advance, degrees; fitted to the curvature of the path, about tan ψ over the length in which the
+    /// needle bends in the tissue, not the angle to which the tip is ground. 10: a needle that steers visibly in soft tissue.
     pub bevel_degrees: f64,
     /// Side to which the bevel pushes the tip at the start; absent: towards the head, or what is most nearly so.
     #[serde(skip_serializing_if = "Option::is_none")]
