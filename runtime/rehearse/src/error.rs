@@ -75,6 +75,23 @@ pub enum RehearseError {
         name: String,
         /// What the needle or its coupling with tissue says; places in patient mm.
         error: palpate_needle::NeedleError,
+        /// Key of the scene that asked for it.
+        key: String,
+    },
+    /// Two needles come too near to each other.
+    #[error(
+        "needle \"{name}\" meets needle \"{other}\" at {at} mm: the tissue around its tip is on the other's track; enter and aim at least \
+         two elements apart, and withdraw first what came last"
+    )]
+    NeedlesMeet {
+        /// The needle whose tip cannot move.
+        name: String,
+        /// The needle in its way.
+        other: String,
+        /// Where, patient mm.
+        at: String,
+        /// Key of the scene that asked for it.
+        key: String,
     },
     /// No ultrasound image can be made.
     #[error(transparent)]
@@ -93,4 +110,14 @@ pub enum RehearseError {
     /// The backend cannot compute.
     #[error("backend: {0}")]
     Backend(String),
+}
+
+impl RehearseError {
+    /// The scene's key whose movement a needle could not make.
+    pub fn needle_key(&self) -> Option<&str> {
+        match self {
+            Self::Needle { key, .. } | Self::NeedlesMeet { key, .. } => Some(key),
+            _ => None,
+        }
+    }
 }

@@ -138,8 +138,12 @@ fn run_scene(args: &RunArgs) -> anyhow::Result<()> {
     session.warn(notes);
     let report = palpate_rehearse::run(session, &packages, &args.output, &progress)?;
     if let Some(why) = &report.stopped {
+        let place = match &report.stopped_at {
+            Some(key) => format!("{}: ", source.place_of(key)),
+            None => String::new(),
+        };
         anyhow::bail!(
-            "{why}; what was computed until then: {}",
+            "{place}{why}; what was computed until then: {}",
             args.output.join("summary.html").display()
         );
     }

@@ -29,6 +29,8 @@ pub struct RunReport {
     pub warnings: Vec<String>,
     /// Why the session ended before its time; none where it did not. What was computed until then has been written.
     pub stopped: Option<String>,
+    /// The scene's key at which it stopped.
+    pub stopped_at: Option<String>,
 }
 
 /// Pictures that wait to be coded, at most.
@@ -49,13 +51,14 @@ pub fn run(
     let mut out = Writer::new(&session, folder)?;
     let steps = session.timeline().steps();
     progress.start("press", u64::from(steps));
-    let mut stopped = None;
+    let (mut stopped, mut stopped_at) = (None, None);
     for step in 1..=steps {
         let poses = session.poses(step);
         match session.advance(&poses) {
             Ok(row) => recording.push(&poses, row),
             // A needle that cannot go on leaves what it did.
-            Err(e @ RehearseError::Needle { .. }) if step > 1 => {
+            Err(e) if step > 1 && e.needle_key().is_some() => {
+                stopped_at = e.needle_key().map(String::from);
                 stopped = Some(format!("step {step}: {e}"));
                 out.step(&mut session, step - 1, true)?;
                 break;
@@ -70,7 +73,7 @@ pub fn run(
     if let Some(why) = &stopped {
         report.warnings.insert(0, format!("The session stopped: {why}"));
     }
-    report.stopped = stopped;
+    (report.stopped, report.stopped_at) = (stopped, stopped_at);
     out.finish(&session, packages, &report, &recording)?;
     progress.finish();
     Ok(report)
@@ -113,6 +116,7 @@ fn report(session: &Session) -> RunReport {
         inverted_tets,
         warnings,
         stopped: None,
+        stopped_at: None,
     }
 }
 

@@ -277,3 +277,173 @@ fn a_thrust_is_made_in_parts() {
     // As deep as when it is pushed slowly.
     assert!((slow.1 - fast.1).abs() < 0.5, "{slow:?} {fast:?}");
 }
+
+/// The scene with its needle alone and nothing drawn; `needle` writes the entry anew.
+fn bare(needles: impl Fn(&str) -> String) -> String {
+    let (base, rest) = SCENE.split_once("[[needle]]\n").unwrap();
+    let entry = rest.split_once("[[needle.motion]]").unwrap().0;
+    let none = "[record]\nframe_every_steps = 0\npreview_every_steps = 0\nvtu_every_steps = 0\n";
+    format!("{base}{}{none}", needles(entry))
+}
+
+/// In after `wait` seconds, out again after `rest` more.
+fn in_and_out(wait: f64, rest: f64) -> String {
+    let pause = |s: f64| match s > 0.0 {
+        true => format!("[[needle.motion]]\nname = 'rest'\nseconds = {s}\n"),
+        false => String::new(),
+    };
+    format!(
+        "{}[[needle.motion]]\nname = 'in'\nreach = 'target'\ninsertion_mm_s = 8\n{}[[needle.motion]]\nname = 'out'\nreach = 'start'\n\
+         insertion_mm_s = -8\n[[needle.motion]]\nseconds = 1.0\n",
+        pause(wait),
+        pause(rest)
+    )
+}
+
+#[test]
+fn two_needles_leave_in_reverse_order_and_are_told_where_they_meet() {
+    let d = Dir::new();
+    // The second one so many mm beside the first, which aims at the tumour's middle.
+    let two = |beside: f64| {
+        bare(|entry| {
+            let one = |name: &str, target: &str| {
+                let named = entry.replace("name = 'needle'", &format!("name = '{name}'"));
+                format!("[[needle]]\n{}", named.replace("target = 'tumour'", target))
+            };
+            let place = format!("target_mm = [{}, 45.5, -309.0]", -77.25 + beside);
+            let first = one("first", "target = 'tumour'") + &in_and_out(0.0, 3.5);
+            first + &one("second", &place) + &in_and_out(1.2, 0.2)
+        })
+    };
+    d.write("two.toml", &two(2.0));
+    d.ok("run two.toml --package k.palpate -o out --threads 1 -q");
+    let all = rows(&d.read("out/needle.csv"));
+    let of = |name: &str, what: &str| -> f64 {
+        let row = all
+            .iter()
+            .find(|r| r.text("needle") == name && r.text("events").contains(what));
+        row.unwrap_or_else(|| panic!("{name} {what}")).number("step")
+    };
+    let both = ["first", "second"];
+    assert!(of("first", "enters") < of("second", "enters"));
+    assert!(of("second", "has left") < of("first", "has left"));
+    for name in both {
+        let deepest = all.iter().filter(|r| r.text("needle") == name);
+        let deepest = deepest.map(|r| r.number("inside_mm")).fold(0.0, f64::max);
+        assert!(deepest > 1.0, "{name} {deepest}");
+    }
+    // Both in the tissue at once, and the organ at rest after them.
+    let inside = |r: &Row| r.number("inside_mm") > 0.5;
+    assert!(all.chunks(2).any(|pair| pair.iter().all(inside)));
+    for r in &all[all.len() - 2..] {
+        assert!(
+            r.number("target_moved_mm") < 0.02,
+            "{}",
+            r.number("target_moved_mm")
+        );
+    }
+    let page = d.read("out/summary.html");
+    assert!(page.contains("<h3>first</h3>") && page.contains("<h3>second</h3>"));
+    d.ok("run two.toml --package k.palpate -o more --threads 3 -q");
+    assert!(d.read("out/recording.json") == d.read("more/recording.json"));
+    // Less than a tet apart: both are named, with the line of the movement; what was done until then is left.
+    let text = two(0.4);
+    d.write("near.toml", &text);
+    let err = d.fails(1, "run near.toml --package k.palpate -o near -q");
+    let second = text.find("name = 'second'").unwrap();
+    let at = second + text[second..].find("name = 'in'").unwrap();
+    let line = text[..at].lines().count();
+    for part in [
+        &format!("near.toml:{line}: step ") as &str,
+        "needle \"second\" meets needle \"first\"",
+        "withdraw first what came last",
+    ] {
+        assert!(err.contains(part), "{part}: {err}");
+    }
+    assert!(d.read("near/summary.html").contains("The session stopped: step"));
+}
+
+#[test]
+fn a_pre_bent_tip_goes_to_the_side_it_is_bent_to() {
+    let d = Dir::new();
+    let straight = "symmetric = true\nbevel_towards = 'superior'\n";
+    let end = |bend: &str| {
+        let text = bare(|entry| {
+            let entry = entry.replace(
+                "[[needle.membrane]]",
+                &format!("{straight}{bend}[[needle.membrane]]"),
+            );
+            format!("[[needle]]\n{entry}{}", in_and_out(0.0, 0.0))
+        });
+        d.write("bent.toml", &text);
+        d.ok("run bent.toml --package k.palpate -o out -q");
+        let all = rows(&d.read("out/needle.csv"));
+        let deepest = all
+            .iter()
+            .max_by(|a, b| a.number("inside_mm").total_cmp(&b.number("inside_mm")))
+            .unwrap();
+        ["x", "y", "z"].map(|k| deepest.number(&format!("tip_{k}_mm")))
+    };
+    let plain = end("");
+    let bent = |a: f64, b: f64| {
+        let tip = end(&format!(
+            "pre_bend = [{{ length_mm = 4.0, curvature_per_mm = [{a}, {b}] }}]\n"
+        ));
+        [tip[0] - plain[0], tip[2] - plain[2]]
+    };
+    // From the front: the bevel's side is up, and across it is the patient's right. A free arc of 4 mm with radius 20 goes 0.4 mm aside.
+    for ([a, b], [x, z]) in [
+        ([0.0, 0.05], [0.0, 1.0]),
+        ([0.0, -0.05], [0.0, -1.0]),
+        ([0.05, 0.0], [1.0, 0.0]),
+    ] {
+        let moved = bent(a, b);
+        let (along, across) = (moved[0] * x + moved[1] * z, moved[0] * z - moved[1] * x);
+        assert!(along > 0.25 && along < 0.8, "{moved:?}");
+        assert!(across.abs() < 0.25 * along, "{moved:?}");
+    }
+}
+
+/// What a user gets wrong in figures: each is refused at its line, before anything is computed, or told.
+#[test]
+fn wrong_figures_of_tissue_and_needle_are_told_with_their_line() {
+    let d = Dir::new();
+    for (what, found) in [
+        ("youngs_modulus_pa = 0", "youngs_modulus_pa is 0"),
+        ("youngs_modulus_pa = -5000", "youngs_modulus_pa is -5000"),
+        ("poisson_ratio = 0.5", "poisson_ratio is 0.5"),
+        ("poisson_ratio = 0.7", "poisson_ratio is 0.7"),
+    ] {
+        let material = format!("[tissue.material.kidney]\n{what}\n\n[[needle]]\n");
+        d.write("bad.toml", &SCENE.replace("[[needle]]\n", &material));
+        let err = d.fails(1, "run bad.toml --package k.palpate -o out -q");
+        let line = format!(
+            "bad.toml:{}: ",
+            SCENE.split_once("[[needle]]").unwrap().0.lines().count() + 2
+        );
+        assert!(err.contains(&line) && err.contains(found), "{what}: {err}");
+        assert!(err.contains("expected"), "{what}: {err}");
+        assert!(!d.path("out").exists());
+    }
+    // 10 where 10 000 was meant.
+    let soft = "[tissue.material.kidney]\nyoungs_modulus_pa = 10\n\n[[needle]]\n";
+    d.write("soft.toml", &SCENE.replace("[[needle]]\n", soft));
+    let told = d.ok("check soft.toml --package k.palpate");
+    assert!(told.contains("was 10000 Pa"), "{told}");
+    // A needle's modulus in GPa.
+    let rubber = "edge_mm = 2.0\nyoungs_modulus_pa = 60\n";
+    d.write("bad.toml", &SCENE.replace("edge_mm = 2.0\n", rubber));
+    let err = d.fails(1, "run bad.toml --package k.palpate -o out -q");
+    assert!(
+        err.contains("bad.toml:18: ") && err.contains("was GPa meant?"),
+        "{err}"
+    );
+    // A base flung aside pulls the needle out of so small an organ: it is told, and the session goes on.
+    let flung = "reach = 'target'\ninsertion_mm_s = 8\n[[needle.motion]]\nname = 'flung'\nseconds = 1.0\nvelocity_mm_s = [400, 0, 0]";
+    let text = SCENE.replace("reach = 'target'\ninsertion_mm_s = 8", flung);
+    d.write("bad.toml", &text);
+    d.ok("run bad.toml --package k.palpate -o out -q");
+    let all = rows(&d.read("out/needle.csv"));
+    assert!(all.iter().any(|r| r.text("events").contains("has left")));
+    assert!(all.iter().all(|r| r.number("tip_x_mm").is_finite()));
+}

@@ -31,7 +31,8 @@ pub struct NeedleEntry {
     pub bevel_towards: Option<Direction>,
     /// A conical or diamond tip, which goes straight: `bevel_degrees` does not count.
     pub symmetric: bool,
-    /// Pre-bent arcs from the tip towards the base.
+    /// Pre-bent arcs from the tip towards the base: the second number of `curvature_per_mm` bends towards `bevel_towards`, the first
+    /// across it.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub pre_bend: Vec<PreBend>,
     /// Usable length from the tip to the sleeve when all is fed, mm.

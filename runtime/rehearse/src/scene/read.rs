@@ -62,6 +62,11 @@ impl SceneSource {
         }
     }
 
+    /// File and line of a key, or of the table that should hold it.
+    pub fn place_of(&self, key: &str) -> String {
+        format!("{}:{}", self.path.display(), self.line_of(key))
+    }
+
     /// Whether the text holds this key.
     pub(super) fn has(&self, key: &str) -> bool {
         self.find(key).1

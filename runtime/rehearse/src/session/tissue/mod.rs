@@ -13,9 +13,9 @@ use crate::scene::Scene;
 use crate::trace::{Coupling, NeedleInfo, NeedleStep, StepTimes};
 use carried::Carried;
 use glam::{DMat3, DVec3, Vec3};
-use needles::{Plan, failed};
+use needles::{Plan, at_fault, failed};
 use palpate_fem::{Place, Simulation, Solid, StepReport, TissueMesh};
-use palpate_needle::{Event, Insertion, InsertionReport, NeedleError};
+use palpate_needle::{Event, Insertion, InsertionReport};
 use palpate_pbd::{BodyInfo, Collider, ContactReport, Pose, Shape};
 use std::time::Instant;
 
@@ -94,8 +94,8 @@ impl TissueEngine {
         let dt_s = solver.dt_s;
         let held = holds::held(scene, &package.info.regions, &mesh, origin);
         let mut plans = Vec::new();
-        for entry in &scene.needles {
-            let mut plan = Plan::new(scene, entry, &package.info.regions, &mesh, organ, origin, dt_s)?;
+        for index in 0..scene.needles.len() {
+            let mut plan = Plan::new(scene, index, &package.info.regions, &mesh, organ, origin, dt_s)?;
             warnings.append(&mut plan.warnings);
             plans.push(plan);
         }
@@ -143,11 +143,11 @@ impl TissueEngine {
             true => Body::Alone(Box::new(sim)),
             false => {
                 let first = plans.first().map_or("", |p| p.name.as_str());
-                let mut both =
-                    Insertion::new(sim, settings.insertion).map_err(|e| failed(first, e, origin))?;
-                for p in &plans {
+                let mut both = Insertion::new(sim, settings.insertion)
+                    .map_err(|e| failed(first, "needle[0]".into(), e, origin))?;
+                for (k, p) in plans.iter().enumerate() {
                     both.add_needle(p.rod.clone(), p.friction.clone())
-                        .map_err(|e| failed(&p.name, e, origin))?;
+                        .map_err(|e| failed(&p.name, format!("needle[{k}]"), e, origin))?;
                 }
                 Body::Needles(Box::new(both))
             }
@@ -223,19 +223,23 @@ impl TissueEngine {
             }
             Body::Needles(both) => {
                 let motions: Vec<_> = self.plans.iter().map(|p| p.motion(self.step)).collect();
-                let found = both.step(&motions).map_err(|e| {
-                    let which = match &e {
-                        NeedleError::LeavesTissue { needle, .. } | NeedleError::HitsRigid { needle, .. } => {
-                            *needle
-                        }
-                        _ => 0,
-                    };
-                    failed(
-                        self.plans.get(which).map_or("", |p| p.name.as_str()),
-                        e,
-                        self.origin,
-                    )
-                })?;
+                let found = match both.step(&motions) {
+                    Ok(found) => found,
+                    Err(e) => {
+                        let (which, other) = at_fault(&e, both);
+                        let plan = &self.plans[which];
+                        let key = format!("needle[{which}]{}", plan.motion_key(self.step));
+                        return Err(match other {
+                            Some(o) => RehearseError::NeedlesMeet {
+                                name: plan.name.clone(),
+                                other: self.plans[o].name.clone(),
+                                at: format!("{:.1}", both.needles()[which].tip() + self.origin),
+                                key,
+                            },
+                            None => failed(&plan.name, key, e, self.origin),
+                        });
+                    }
+                };
                 parts[0] = found.tissue_time_s;
                 parts[3] = found.needle_time_s;
                 parts[4] = found.lcp_time_s;

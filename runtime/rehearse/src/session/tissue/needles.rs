@@ -5,7 +5,7 @@ use crate::RehearseError;
 use crate::scene::{NeedleEntry, NeedleMotion, Reach, Scene};
 use glam::DVec3;
 use palpate_fem::TissueMesh;
-use palpate_needle::{BaseMotion, NeedleError, NeedleFriction, Rod};
+use palpate_needle::{BaseMotion, Insertion, NeedleError, NeedleFriction, Rod};
 
 /// A needle enters more aslant than this, degrees from the surface's normal, with a warning.
 const MOST_ASLANT_DEGREES: f64 = 60.0;
@@ -40,17 +40,18 @@ pub(super) struct Plan {
 }
 
 impl Plan {
-    /// The needle of an entry that was checked, before the tissue at rest. `organ` is the package's, `origin` the world's zero point
+    /// The needle of the scene's entry `index`, which was checked, before the tissue at rest. `organ` is the package's, `origin` the world's zero point
     /// in patient mm.
     pub(super) fn new(
         scene: &Scene,
-        entry: &NeedleEntry,
+        index: usize,
         regions: &[String],
         mesh: &TissueMesh,
         organ: &Organ,
         origin: DVec3,
         dt_s: f64,
     ) -> Result<Self, RehearseError> {
+        let entry = &scene.needles[index];
         let refuse = |problem: String| RehearseError::NeedlePlan {
             name: entry.name.clone(),
             problem,
@@ -127,7 +128,8 @@ impl Plan {
             )));
         }
         let side = side(entry, direction);
-        let rod = rod(entry, start, direction, side).map_err(|e| failed(&entry.name, e, origin))?;
+        let rod = rod(entry, start, direction, side)
+            .map_err(|e| failed(&entry.name, format!("needle[{index}]"), e, origin))?;
         Ok(Self {
             name: entry.name.clone(),
             friction: entry.friction(regions, &scene.holds),
@@ -148,6 +150,15 @@ impl Plan {
         now.map_or_else(BaseMotion::default, |s| s.motion)
     }
 
+    /// Key within the needle of the movement of a step.
+    pub(super) fn motion_key(&self, step: u32) -> String {
+        let now = self
+            .segments
+            .iter()
+            .position(|s| (s.first..=s.last).contains(&step));
+        now.map_or_else(String::new, |n| format!(".motion[{n}]"))
+    }
+
     /// Needle fed since the start after a step, mm.
     pub(super) fn fed_mm(&self, step: u32, dt_s: f64) -> f64 {
         let done = |s: &Segment| f64::from((step + 1).clamp(s.first, s.last + 1) - s.first);
@@ -159,7 +170,7 @@ impl Plan {
 }
 
 /// An error of the needle crate in words of the patient.
-pub(super) fn failed(name: &str, error: NeedleError, origin: DVec3) -> RehearseError {
+pub(super) fn failed(name: &str, key: String, error: NeedleError, origin: DVec3) -> RehearseError {
     let error = match error {
         NeedleError::StartsInside { node, at } => NeedleError::StartsInside {
             node,
@@ -179,6 +190,39 @@ pub(super) fn failed(name: &str, error: NeedleError, origin: DVec3) -> RehearseE
     RehearseError::Needle {
         name: name.into(),
         error,
+        key,
+    }
+}
+
+/// The needle that an error in a step is about, and for two that meet the other one.
+pub(super) fn at_fault(error: &NeedleError, both: &Insertion) -> (usize, Option<usize>) {
+    let needles = both.needles();
+    let nearest = |node: u32, not: Option<usize>| {
+        let at = both.tissue().positions()[node as usize];
+        (0..needles.len()).filter(|&k| Some(k) != not).min_by(|&a, &b| {
+            let far = |k: usize| needles[k].tip().distance(at);
+            far(a).total_cmp(&far(b))
+        })
+    };
+    // The sharpest bend between two edges, for what says only that something is bent too far.
+    let bend = |k: usize| {
+        let x = needles[k].rod().position();
+        let turn = |w: &[DVec3]| (w[1] - w[0]).angle_between(w[2] - w[1]);
+        x.windows(3).map(turn).fold(0.0, f64::max)
+    };
+    match error {
+        NeedleError::LeavesTissue { needle, .. } | NeedleError::HitsRigid { needle, .. } => (*needle, None),
+        NeedleError::TrackConflict { node } => {
+            let other = (0..needles.len()).find(|&k| needles[k].chain().contains(node));
+            match (nearest(*node, other), other) {
+                (Some(k), Some(o)) => (k, Some(o)),
+                (k, _) => (k.unwrap_or(0), None),
+            }
+        }
+        _ => {
+            let most = (0..needles.len()).max_by(|&a, &b| bend(a).total_cmp(&bend(b)).then(b.cmp(&a)));
+            (most.unwrap_or(0), None)
+        }
     }
 }
 
