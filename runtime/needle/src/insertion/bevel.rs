@@ -1,4 +1,4 @@
-//! Where a tip cuts on to in the material, whatever the size of the tets (after Chentanez et al. 2009, §3.5).
+//! Where a tip cuts on to in the material (after Chentanez et al. 2009, §3.5).
 
 use super::{Insertion, Needle};
 use crate::Rod;

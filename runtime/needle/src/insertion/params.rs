@@ -138,7 +138,8 @@ pub enum Linear {
 #[serde(rename_all = "snake_case")]
 pub enum CutLaw {
     /// In the needle's, as the tissue around the tip has it on the average over the length in which the needle bends, corrected for what the mesh
-    /// holds more stiffly than tissue does; the bevel adds tan ψ of the way cut. Holds for any size of the tets.
+    /// holds more stiffly than tissue does; the bevel adds tan ψ of the way cut. For tets
+    /// shorter than that length.
     #[default]
     Mean,
     /// The paper's (Chentanez et al. 2009, §3.4.1 and §3.5): to the world tip's place in the one tet that holds it, with tan ψ of the slip aside. A
