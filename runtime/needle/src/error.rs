@@ -43,11 +43,13 @@ pub enum NeedleError {
     },
     /// The needle bends back on itself.
     #[error(
-        "needle bends back on itself at node {node} (turns by {angle_deg:.1} degrees there): use shorter edges or a smaller load"
+        "needle bends back on itself at node {node}, {at:.1} mm (turns by {angle_deg:.1} degrees there): move the base more slowly, or use shorter edges or a smaller load"
     )]
     Folded {
         /// Node, 0 at the base.
         node: usize,
+        /// Where, world mm.
+        at: glam::DVec3,
         /// Turning angle, degrees.
         angle_deg: f64,
     },

@@ -2,8 +2,10 @@
 //! enter, advance, turn back and leave.
 
 mod advance;
+mod ahead;
 mod bevel;
 mod chain;
+mod pace;
 mod params;
 mod report;
 mod saddle;
@@ -99,6 +101,18 @@ impl Needle {
             .collect()
     }
 
+    /// Tells the rod which of its edges the tissue holds against turning.
+    fn grip(&mut self) {
+        if self.friction.torsional_friction_un == 0.0 {
+            return;
+        }
+        let edges = self.rod.rest_length().len();
+        let first = if self.beyond > 0 { edges } else { self.first() };
+        let mut per_length = vec![0.0; edges];
+        per_length[first.min(edges)..].fill(self.friction.torsional_friction_un);
+        self.rod.grip(per_length);
+    }
+
     /// Distance of each node of the chain from the sleeve's mouth along the needle, mm.
     fn arcs(&self) -> Vec<f64> {
         let x = self.rod.position();
@@ -127,6 +141,7 @@ pub struct Insertion {
     history: Vec<Vec<DVec3>>,
     /// States that a longer part ended with which was tried from the state at hand.
     guess: Option<Vec<FrictionState>>,
+    pace: pace::Pace,
 }
 
 impl Insertion {
@@ -142,6 +157,7 @@ impl Insertion {
             needles: Vec::new(),
             history: Vec::new(),
             guess: None,
+            pace: pace::Pace::default(),
         })
     }
 
@@ -214,7 +230,8 @@ impl Insertion {
     /// Moves tissue and needles on by one time step; `motion` has the base motion of each needle. Solids and held nodes of the tissue
     /// go where they were told.
     ///
-    /// The step is made in halves where a tip would pass too many tets, a needle edge turn or a tet deform too much at once.
+    /// The step is made in halves where a tip would pass too many tets, a needle edge turn or a tet deform too much at once, and its last part in
+    /// slow motion where many have been tried ([`InsertionParams::most_tries`]).
     ///
     /// Errors
     /// - [`NeedleError::Count`], [`NeedleError::Parameter`] motions that do not fit

@@ -53,6 +53,8 @@ pub struct Rod {
     theta: Vec<f64>,
     /// Angular velocity of each edge's material frame about its tangent over the last step, rad/s.
     spin: Vec<f64>,
+    /// Torque per length that the surroundings of each edge bear, µN·mm/mm; empty: none.
+    grip: Vec<f64>,
     geometry: Geometry,
 }
 
@@ -119,6 +121,7 @@ impl Rod {
             director,
             theta: vec![0.0; count - 1],
             spin: vec![0.0; count - 1],
+            grip: Vec::new(),
             geometry: Geometry::default(),
         };
         rod.refresh_geometry()?;

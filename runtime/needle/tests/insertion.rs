@@ -608,3 +608,109 @@ fn a_deep_dent_goes_back_over_the_needle() {
     assert!(most < 1e6 && consistent >= 475, "{most} {consistent}");
     assert!(s.tissue().volume_ratios().iter().all(|v| v.1 > 0.0));
 }
+
+/// A skin at the surface and a capsule in the depth resist a needle at 440 mm/s, two tets a step, as they do a slow one.
+#[test]
+fn membranes_are_met_at_any_speed() {
+    for (name, from_mm, thickness_mm) in [("skin", 0.0, 1.0), ("capsule", 8.0, 0.5)] {
+        let force = 4e5;
+        let pushed = |speed: f64| {
+            let tissue = gel([10, 6, 6], 25_000.0, 0, &one);
+            let mut s = Insertion::new(tissue, InsertionParams::default()).unwrap();
+            let friction = NeedleFriction {
+                friction_un_per_mm: 10.0,
+                viscous_un_s_per_mm2: 0.0,
+                cutting_un: 5e4,
+                membranes: vec![Membrane {
+                    name: name.into(),
+                    region: None,
+                    outside: None,
+                    from_mm,
+                    thickness_mm,
+                    cutting_un: force,
+                }],
+                ..NeedleFriction::default()
+            };
+            s.add_needle(needle(15.7, 16.1, 20.0), friction).unwrap();
+            let steps = (30.0 / (speed * 0.02)).round() as usize;
+            let reports = run(&mut s, steps, push(speed));
+            let passed = reports.iter().flat_map(|r| &r.needles[0].events);
+            let passed = passed.filter(|e| matches!(e, Event::Membrane { .. })).count();
+            let most = reports
+                .iter()
+                .fold(0.0, |m: f64, r| m.max(r.needles[0].most_push_un));
+            (most, passed)
+        };
+        let (slow, fast) = (pushed(20.0), pushed(440.0));
+        assert_eq!((slow.1, fast.1), (1, 1), "{name}");
+        assert!((slow.0 / force - 1.0).abs() < 0.1, "{name}: {slow:?}");
+        assert!((fast.0 / slow.0 - 1.0).abs() < 0.15, "{name}: {slow:?} {fast:?}");
+    }
+}
+
+/// A deep dent that springs back is made in few parts a step, the rest in slow motion, and comes to the same rest.
+#[test]
+fn a_deep_dent_springs_back_over_several_steps() {
+    let run_with = |most_tries: u32| {
+        let tissue = gel([10, 6, 6], 4_000.0, 0, &one);
+        let params = InsertionParams {
+            most_tries,
+            ..InsertionParams::default()
+        };
+        let mut s = Insertion::new(tissue, params).unwrap();
+        let friction = NeedleFriction {
+            cutting_un: 2e4,
+            friction_un_per_mm: 1e3,
+            membranes: vec![Membrane {
+                name: "skin".into(),
+                region: None,
+                outside: None,
+                from_mm: 0.0,
+                thickness_mm: 1.0,
+                cutting_un: 2e5,
+            }],
+            ..NeedleFriction::default()
+        };
+        s.add_needle(needle(15.7, 16.1, 20.0), friction).unwrap();
+        let mut reports = run(&mut s, 130, push(10.0));
+        reports.extend(run(&mut s, 60, push(0.0)));
+        let most = reports.iter().map(|r| r.attempts).max().unwrap();
+        let slowed: u32 = reports.iter().map(|r| r.slowed).sum();
+        (most, slowed, reports[189].needles[0].contact_mm)
+    };
+    let (bounded, free) = (run_with(2), run_with(1000));
+    assert!(free.1 == 0 && free.0 >= 6, "{free:?}");
+    assert!(bounded.1 > 0 && bounded.0 < free.0, "{bounded:?} {free:?}");
+    assert!((bounded.2 - free.2).abs() < 0.05, "{bounded:?} {free:?}");
+}
+
+/// A sleeve that runs on towards the tissue folds a thin needle: the error says where, and needle and tissue are as after the last whole part.
+#[test]
+fn a_folded_needle_is_refused_with_its_place() {
+    let tissue = gel([8, 6, 6], 25_000.0, 0, &one);
+    let mut s = Insertion::new(tissue, InsertionParams::default()).unwrap();
+    let thin = NeedleParams {
+        outer_diameter_mm: 0.3,
+        ..NeedleParams::default()
+    };
+    let mouth = DVec3::new(-41.0, 15.7, 16.1);
+    let rod = Rod::in_sleeve(thin, mouth, DVec3::X, DVec3::Y, 5.0, 40.0, 8).unwrap();
+    s.add_needle(rod, NeedleFriction::default()).unwrap();
+    run(&mut s, 100, push(10.0));
+    let on = BaseMotion {
+        velocity_mm_per_s: [200.0, 0.0, 0.0],
+        ..BaseMotion::default()
+    };
+    let error = (0..60).find_map(|_| s.step(&[on]).err());
+    let Some(NeedleError::Folded { at, angle_deg, .. }) = error else {
+        panic!("{error:?}");
+    };
+    assert!(
+        angle_deg > 90.0 && at.distance(s.needles()[0].tip()) < 100.0,
+        "{at} {angle_deg}"
+    );
+    assert!(error.unwrap().to_string().contains(&format!("{at:.1} mm")));
+    let n = &s.needles()[0];
+    assert!(n.rod().position().iter().all(|x| x.is_finite()) && !n.chain().is_empty());
+    assert!(s.tissue().positions().iter().all(|x| x.is_finite()));
+}

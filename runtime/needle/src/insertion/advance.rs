@@ -1,6 +1,7 @@
 //! One time step in as many parts as it needs.
 
 use super::chain::Goal;
+use super::pace::Violence;
 use super::system::Coupled;
 use super::unknowns::Strand;
 use super::{Insertion, InsertionReport, Needle, NeedleReport};
@@ -24,12 +25,18 @@ pub(super) struct Solved {
     pub forces: Vec<DVec3>,
     /// Slip of each needle's tip, mm.
     pub slip: Vec<f64>,
+    /// Slip of every shared node, mm.
+    slips: Vec<f64>,
     /// Largest slip of any of its shared nodes, mm.
     most_slip: Vec<f64>,
     /// Force of the tissue on each needle, µN.
     force: Vec<DVec3>,
     /// Cutting force at each tip, µN.
     cutting: Vec<f64>,
+    /// Axial force of each sleeve, µN.
+    push: Vec<f64>,
+    /// Membranes met on the way of a tip: needle and membrane.
+    met: Vec<(usize, usize)>,
 }
 
 impl Insertion {
@@ -53,6 +60,7 @@ impl Insertion {
                 .chain
                 .last()
                 .map(|&n| self.tissue.mesh().rest()[n as usize]);
+            r.base_torque_un_mm = -needle.rod.twist_torque(1);
             r.contact_mm = needle.lengths().iter().sum();
             for s in &needle.states {
                 r.states[match s {
@@ -68,6 +76,9 @@ impl Insertion {
     }
 
     /// A part of `dt`, or two halves of it.
+    ///
+    /// What the parts before needed says where to begin; once [`super::InsertionParams::most_tries`] are spent, the rest of a step that needs
+    /// shorter parts is made in slow motion.
     fn advance(
         &mut self,
         dt: f64,
@@ -77,45 +88,94 @@ impl Insertion {
         report: &mut InsertionReport,
     ) -> Result<(), NeedleError> {
         let may_halve = halvings < self.params.most_halvings;
-        if !(may_halve && self.too_fast(dt, motion)) {
-            let rods: Vec<Rod> = self.needles.iter().map(|n| n.rod.clone()).collect();
-            let saved = self.tissue.save();
-            let tried = self.attempt(dt, false, motion, report);
-            let violent = match &tried {
-                Ok(solved) => self.is_violent(&rods, solved),
-                Err(NeedleError::Folded { .. } | NeedleError::ShortEdge { .. }) => true,
-                Err(_) => false,
+        let spent = report.attempts >= self.params.most_tries;
+        if may_halve && (self.too_fast(dt, motion) || (!spent && halvings < self.pace.level)) {
+            return self.halves(dt, halvings, last, motion, report);
+        }
+        let rods: Vec<Rod> = self.needles.iter().map(|n| n.rod.clone()).collect();
+        let saved = self.tissue.save();
+        let mut slower = self.pace.level.saturating_sub(halvings);
+        let mut result = None;
+        if slower == 0 {
+            let braked = self.pace.braking;
+            report.braked += u32::from(braked);
+            let tried = self.attempt(dt, braked, motion, report);
+            let violence = match &tried {
+                Ok(solved) => self.violence(&rods, solved),
+                Err(NeedleError::Folded { .. } | NeedleError::ShortEdge { .. }) => Violence::whole(),
+                Err(_) => Violence::default(),
             };
-            let tried_states = tried.as_ref().ok().map(|s| s.states.clone());
-            let mut result = tried;
-            if violent {
-                self.return_to(&rods, &saved);
+            if violence.most() <= 1.0 || (braked && violence.is_turn()) {
+                self.pace.calm(halvings, violence);
+                result = Some(tried);
+            } else {
                 // A longer part is the best guess of a shorter one from the same state.
-                self.guess = tried_states;
-                if may_halve {
+                let states = tried.ok().map(|s| s.states);
+                self.return_to(&rods, &saved);
+                self.guess = states;
+                let snaps = self.pace.snaps(violence);
+                self.pace.violent(halvings, violence, self.params.most_halvings);
+                let spent = report.attempts >= self.params.most_tries;
+                if may_halve && !spent && !snaps {
                     return self.halves(dt, halvings, last, motion, report);
                 }
-                report.braked += 1;
-                result = self.attempt(dt, true, motion, report);
+                self.pace.braking = true;
+                slower = match snaps {
+                    true => 0,
+                    false => self.pace.level.saturating_sub(halvings),
+                };
             }
-            let done = result.and_then(|solved| {
-                self.tissue.end_part(&solved.a, last)?;
-                self.remember(&solved.a);
-                let goals = self.goals(&rods, &solved)?;
-                Ok((solved, goals))
-            });
-            return match done {
-                Ok((solved, goals)) => {
-                    report.substeps += 1;
-                    self.settle(solved, goals, report)
-                }
-                Err(e) => {
-                    self.return_to(&rods, &saved);
-                    Err(e)
-                }
-            };
         }
-        self.halves(dt, halvings, last, motion, report)
+        let result = match result {
+            Some(result) => result,
+            None => {
+                report.braked += 1;
+                report.slowed += u32::from(slower > 0);
+                let times = f64::from(1u32 << slower);
+                let motion: Vec<BaseMotion> = motion.iter().map(|m| m.times(times)).collect();
+                let solved = self.attempt(dt / times, true, &motion, report);
+                if let Ok(solved) = &solved {
+                    let violence = self.violence(&rods, solved);
+                    self.pace.calm(halvings + slower, violence);
+                }
+                solved
+            }
+        };
+        let done = result.and_then(|solved| {
+            self.tissue.end_part(&solved.a, last)?;
+            self.remember(&solved.a);
+            if slower > 0 {
+                self.slow_down(f64::from(1u32 << slower))?;
+            }
+            let goals = self.goals(&rods, &solved)?;
+            Ok((solved, goals))
+        });
+        match done {
+            Ok((solved, goals)) => {
+                report.substeps += 1;
+                self.settle(solved, goals, dt, report)
+            }
+            Err(e) => {
+                self.return_to(&rods, &saved);
+                Err(e)
+            }
+        }
+    }
+
+    /// Velocities and accelerations as they are in time where the part that has been made counts as so many times its length.
+    fn slow_down(&mut self, times: f64) -> Result<(), NeedleError> {
+        for n in &mut self.needles {
+            n.rod.slow_down(times);
+        }
+        for n in 0..self.tissue.mesh().node_slots() as u32 {
+            if self.tissue.mesh().has_node(n) {
+                let i = n as usize;
+                let t = &self.tissue;
+                let (x, v, a) = (t.positions()[i], t.velocities()[i], t.accelerations()[i]);
+                self.tissue.set_state(n, x, v / times, a / (times * times))?;
+            }
+        }
+        Ok(())
     }
 
     fn remember(&mut self, a: &[DVec3]) {
@@ -180,18 +240,22 @@ impl Insertion {
         (volume / around.len().max(1) as f64 * 6.0 * std::f64::consts::SQRT_2).cbrt()
     }
 
-    fn is_violent(&self, before: &[Rod], solved: &Solved) -> bool {
-        let turns = self
+    fn violence(&self, before: &[Rod], solved: &Solved) -> Violence {
+        let turn = self
             .needles
             .iter()
             .zip(before)
-            .any(|(n, b)| n.rod.largest_turn(b) > self.params.most_turn_rad);
-        let slips = self
+            .fold(0.0, |m: f64, (n, b)| m.max(n.rod.largest_turn(b)));
+        let slip = self
             .needles
             .iter()
             .zip(&solved.most_slip)
-            .any(|(n, s)| *s > self.most_slip_mm(n));
-        turns || slips || self.tissue.strain_change(&solved.a) > self.tissue.settings().halving_strain
+            .fold(0.0, |m: f64, (n, s)| m.max(s / self.most_slip_mm(n)));
+        Violence {
+            turn: turn / self.params.most_turn_rad,
+            slip,
+            strain: self.tissue.strain_change(&solved.a) / self.tissue.settings().halving_strain,
+        }
     }
 
     /// What each shared node can hold, by needle.
@@ -257,9 +321,10 @@ impl Insertion {
         };
         let mut systems: Vec<StepSystem> = Vec::with_capacity(self.needles.len());
         for (n, m) in self.needles.iter_mut().zip(motion) {
+            n.grip();
             systems.push(n.rod.begin_step(&newmark, m, &loads)?);
         }
-        let limits: Vec<FrictionLimit> = self
+        let mut limits: Vec<FrictionLimit> = self
             .needles
             .iter()
             .flat_map(|n| self.friction_limits(n))
@@ -272,7 +337,7 @@ impl Insertion {
         let mut a = self.tissue.accelerations().to_vec();
         let passes = self.tissue.settings().contact_passes.max(1);
         let mut pass = 0;
-        let solved = loop {
+        let mut solved = loop {
             pass += 1;
             let filter = self.tissue.constrain_step(&mut a);
             let strands: Vec<Strand> = self
@@ -301,16 +366,23 @@ impl Insertion {
             coupled.history = &self.history;
             let outcome = solve_stick_slip(&mut coupled, &limits, &states, &self.params.stick_slip)?;
             report.trials = report.trials.max(outcome.trials);
-            report.trials_total += outcome.trials;
-            report.iterations += outcome.iterations;
+            let before = (outcome.trials, outcome.iterations);
+            report.trials_total += before.0;
+            report.iterations += before.1;
+            let (outcome, met) = self.meet_faces(&mut coupled, &mut limits, outcome)?;
+            report.trials_total += outcome.trials - before.0;
+            report.iterations += outcome.iterations - before.1;
             report.settled &= coupled.settled;
             let forces = coupled.coupling_forces();
             let nodes: Vec<u32> = coupled.nodes.iter().map(|n| n.tissue).collect();
             let mut solved = Solved {
                 slip: vec![0.0; strands.len()],
+                slips: (0..nodes.len()).map(|k| coupled.slip_mm(k)).collect(),
                 most_slip: vec![0.0; strands.len()],
                 force: vec![DVec3::ZERO; strands.len()],
                 cutting: vec![0.0; strands.len()],
+                push: vec![0.0; strands.len()],
+                met,
                 a: Vec::new(),
                 needle: Vec::new(),
                 forces: Vec::new(),
@@ -363,6 +435,7 @@ impl Insertion {
             let x = n.rod.position();
             r.base_force_un = base;
             r.base_axial_un = base.dot((x[1] - x[0]).normalize_or_zero());
+            solved.push[k] = r.base_axial_un;
             r.tissue_force_un = solved.force[k];
             r.cutting_un = solved.cutting[k];
         }
@@ -375,14 +448,21 @@ impl Insertion {
         &mut self,
         solved: Solved,
         goals: Vec<Goal>,
+        dt: f64,
         report: &mut InsertionReport,
     ) -> Result<(), NeedleError> {
+        for &(k, m) in &solved.met {
+            self.needles[k].within[m] = true;
+        }
         let mut from = 0;
         for (k, goal) in goals.into_iter().enumerate() {
             let count = self.needles[k].chain.len();
             self.needles[k].states = solved.states[from..from + count].to_vec();
+            self.slide(k, &solved.slips[from..from + count], dt)?;
             from += count;
-            report.needles[k].tip_slip_mm += solved.slip[k];
+            let r = &mut report.needles[k];
+            r.tip_slip_mm += solved.slip[k];
+            r.most_push_un = r.most_push_un.max(solved.push[k]);
             self.follow(k, goal, report)?;
         }
         Ok(())

@@ -285,7 +285,7 @@ impl Insertion {
     }
 
     /// What is left of the tissue's strength at the tip, 1 to 0, by how far the edges around its node are stretched.
-    fn strength(&self, needle: &Needle, node: u32) -> f64 {
+    pub(super) fn strength(&self, needle: &Needle, node: u32) -> f64 {
         let (mesh, x) = (self.tissue.mesh(), self.tissue.positions());
         let (mut now, mut rest) = (0.0, 0.0);
         for t in mesh.around(node).iter().filter_map(|e| mesh.tet(e.tet)) {
@@ -304,7 +304,7 @@ impl Insertion {
         }
     }
 
-    fn state_in(&self, tet: Tet, weights: [f64; 4]) -> NodeState {
+    pub(super) fn state_in(&self, tet: Tet, weights: [f64; 4]) -> NodeState {
         let t = &self.tissue;
         let mut state = NodeState::default();
         for (n, w) in tet.corners.into_iter().zip(weights) {
@@ -362,6 +362,7 @@ impl Insertion {
         let (n, tissue) = (&mut self.needles[k], &mut self.tissue);
         let was = n.chain.len();
         let mut done = None;
+        let touches = matches!(goal, Goal::Touch { .. });
         match goal {
             Goal::Stay => {}
             Goal::Touch { from } => {
@@ -412,7 +413,7 @@ impl Insertion {
                 r.events.push(Event::Left);
             }
         }
-        if let Some(done) = done {
+        if let Some(done) = &done {
             r.fallbacks += done.fallbacks;
             if done.worst_quality.is_finite() {
                 let worst = r.worst_quality.unwrap_or(f64::INFINITY);
@@ -421,6 +422,8 @@ impl Insertion {
             if let Some(track) = &n.track {
                 n.chain = track.nodes().to_vec();
             }
+        }
+        if done.is_some() || touches {
             self.note_membranes(k, report);
         }
         report.remesh_time_s += start.elapsed().as_secs_f64();
@@ -505,6 +508,33 @@ impl Insertion {
         }
         self.needles[k].rod.set_motion(v, a)?;
         for (node, v, a) in tissue {
+            let x = self.tissue.positions()[node as usize];
+            self.tissue.set_state(node, x, v, a)?;
+        }
+        Ok(())
+    }
+
+    /// Sliding nodes of the tissue leave a part of `dt` with the speed at which they slid in it: by the trapezoid rule a node that starts to slide
+    /// would leave it twice as fast, slide too far and back in the next part, and change states in turn with its neighbours while the needle rests.
+    pub(super) fn slide(&mut self, k: usize, slips: &[f64], dt: f64) -> Result<(), NeedleError> {
+        let n = &self.needles[k];
+        if n.beyond > 0 {
+            return Ok(());
+        }
+        let first = n.first();
+        let mut moved = Vec::new();
+        for (j, (&node, state)) in n.chain.iter().zip(&n.states).enumerate() {
+            if *state == FrictionState::Static {
+                continue;
+            }
+            let (i, t) = (first + j, node as usize);
+            let tangent = n.rod.node_tangent(i);
+            let (v, a) = (self.tissue.velocities()[t], self.tissue.accelerations()[t]);
+            let (dv, da) = (n.rod.velocity()[i] - v, n.rod.acceleration()[i] - a);
+            let v = v + tangent * (tangent.dot(dv) - slips[j] / dt);
+            moved.push((node, v, a + tangent * tangent.dot(da)));
+        }
+        for (node, v, a) in moved {
             let x = self.tissue.positions()[node as usize];
             self.tissue.set_state(node, x, v, a)?;
         }

@@ -42,6 +42,10 @@ pub struct Membrane {
 pub struct NeedleFriction {
     /// Friction of the shaft per length in the tissue, µN/mm. Default 3e4 (0.03 N/mm); measured ones lie between 0.005 and 0.1 N/mm.
     pub friction_un_per_mm: f64,
+    /// Torque per length that friction on the turning shaft bears, µN·mm per mm: the needle winds up in the tissue and its tip lags behind
+    /// the base (Reed et al. 2009). Coulomb's law on a shaft of radius r gives r times the friction per length. The tissue's own twist is left
+    /// out. Default 0, as in the paper.
+    pub torsional_friction_un: f64,
     /// Viscous friction per length and relative velocity (η), µN·s/mm². Default 20 (20 N·s/m²).
     pub viscous_un_s_per_mm2: f64,
     /// Force for cutting at the tip, µN, where `regions` names none. Default 2e5 (0.2 N).
@@ -62,6 +66,7 @@ impl Default for NeedleFriction {
     fn default() -> Self {
         Self {
             friction_un_per_mm: 3e4,
+            torsional_friction_un: 0.0,
             viscous_un_s_per_mm2: 20.0,
             cutting_un: 2e5,
             regions: Vec::new(),
@@ -90,6 +95,12 @@ impl NeedleFriction {
             "viscous_un_s_per_mm2",
             self.viscous_un_s_per_mm2,
             "0 to 1e9 µN·s/mm²",
+        )?;
+        check(
+            (0.0..=1e9).contains(&self.torsional_friction_un),
+            "torsional_friction_un",
+            self.torsional_friction_un,
+            "0 to 1e9 µN·mm/mm",
         )?;
         force("cutting_un", self.cutting_un)?;
         for r in &self.regions {
@@ -166,6 +177,9 @@ pub struct InsertionParams {
     /// Halvings of a step at most, one within the other; the parts of the last level are braked where they are still too violent.
     /// Default 4.
     pub most_halvings: u32,
+    /// Parts tried in one step after which what is left of it, where it needs shorter parts than it is long, is made in slow motion: the base goes its whole
+    /// way, braked tissue and needle move on by one short part only, and a dent springs back over several steps. Default 2.
+    pub most_tries: u32,
     /// Lengths of the edges outside the tissue; `None` by the edges with which a needle starts.
     pub edge_limits: Option<EdgeLimits>,
     /// Root mean square stretch of the tets' edges at a tip at which tissue begins to tear by itself, and at which nothing of the cutting force
@@ -186,6 +200,7 @@ impl Default for InsertionParams {
             most_slip: 0.5,
             most_turn_rad: 0.05,
             most_halvings: 4,
+            most_tries: 2,
             edge_limits: None,
             tear_stretch: [1.6, 2.0],
             track: TrackParams::default(),
@@ -231,6 +246,12 @@ impl InsertionParams {
             "most_halvings",
             f64::from(self.most_halvings),
             "at most 10",
+        )?;
+        check(
+            self.most_tries >= 1,
+            "most_tries",
+            f64::from(self.most_tries),
+            "at least 1",
         )
     }
 }

@@ -25,6 +25,10 @@ pub struct NeedleReport {
     pub base_force_un: DVec3,
     /// Its part along the sleeve, µN: positive pushes.
     pub base_axial_un: f64,
+    /// Torque of the sleeve on the needle about its axis, µN·mm: what torsional friction holds against.
+    pub base_torque_un_mm: f64,
+    /// Greatest axial push of the sleeve at the end of any part of the step, µN; 0 where it only pulled.
+    pub most_push_un: f64,
     /// Tip, world mm.
     pub tip: DVec3,
     /// Tip in the tissue's material, mm; `None` outside.
@@ -61,6 +65,8 @@ pub struct InsertionReport {
     pub attempts: u32,
     /// Parts that were braked by implicit Euler.
     pub braked: u32,
+    /// Parts in slow motion ([`crate::InsertionParams::most_tries`]).
+    pub slowed: u32,
     /// Trials of friction states: the most of any part.
     pub trials: usize,
     /// Trials of all parts.

@@ -319,3 +319,40 @@ fn forces_balance_and_nodes_stay_together() {
         });
     }
 }
+
+/// A node that slid in a part leaves it at the speed of its slip, with the needle's acceleration along it; one that stuck is left alone.
+#[test]
+fn sliding_nodes_leave_at_the_speed_of_their_slip() {
+    let mut insertion = threaded();
+    let dt = 0.02;
+    let slips = [0.0, 0.3, -0.2, 0.1];
+    let across = DVec3::new(0.0, 3.0, -2.0);
+    insertion.needles[0].states = vec![
+        FrictionState::Static,
+        FrictionState::Forward,
+        FrictionState::Backward,
+        FrictionState::Forward,
+    ];
+    let chain = insertion.needles[0].chain.clone();
+    for &n in &chain {
+        let x = insertion.tissue.positions()[n as usize];
+        insertion
+            .tissue
+            .set_state(n, x, across - DVec3::X * 7.0, DVec3::X * 900.0)
+            .unwrap();
+    }
+    insertion.slide(0, &slips, dt).unwrap();
+    for (k, &n) in chain.iter().enumerate() {
+        let n = n as usize;
+        let (v, a) = (
+            insertion.tissue.velocities()[n],
+            insertion.tissue.accelerations()[n],
+        );
+        let (speed, acceleration) = match k {
+            0 => (-7.0, 900.0),
+            _ => (-slips[k] / dt, 0.0),
+        };
+        assert!((v - across - DVec3::X * speed).length() < 1e-9, "{k} {v}");
+        assert!((a - DVec3::X * acceleration).length() < 1e-9, "{k} {a}");
+    }
+}

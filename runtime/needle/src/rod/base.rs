@@ -37,6 +37,16 @@ impl BaseMotion {
         }
         Ok(())
     }
+
+    /// The same motion so many times as fast.
+    pub(crate) fn times(&self, factor: f64) -> Self {
+        Self {
+            insertion_mm_per_s: factor * self.insertion_mm_per_s,
+            velocity_mm_per_s: self.velocity_mm_per_s.map(|v| factor * v),
+            angular_velocity_rad_per_s: self.angular_velocity_rad_per_s.map(|v| factor * v),
+            rotation_rad_per_s: factor * self.rotation_rad_per_s,
+        }
+    }
 }
 
 /// Where prescribed nodes go in a step.
@@ -53,6 +63,14 @@ pub(super) struct Prescribed {
 }
 
 impl Rod {
+    /// Velocities and accelerations of the same motion in so many times the time.
+    pub(crate) fn slow_down(&mut self, times: f64) {
+        self.velocity.iter_mut().for_each(|v| *v /= times);
+        self.acceleration.iter_mut().for_each(|a| *a /= times * times);
+        self.spin.iter_mut().for_each(|s| *s /= times);
+        self.feed_mm_per_s /= times;
+    }
+
     /// Feeds the needle (edge 1 grows by the insertion of one step) and says where the sleeve goes. The sleeve is a rigid body;
     /// its motion is exact for constant velocities, with the mouth in a straight line.
     ///

@@ -52,7 +52,11 @@ impl Geometry {
             let denominator = product + e.dot(f);
             if denominator <= 1e-4 * product {
                 let angle_deg = e.angle_between(f).to_degrees();
-                return Err(NeedleError::Folded { node: i, angle_deg });
+                return Err(NeedleError::Folded {
+                    node: i,
+                    at: position[i],
+                    angle_deg,
+                });
             }
             g.denominator[i] = denominator;
             g.kb[i] = 2.0 * e.cross(f) / denominator;

@@ -233,6 +233,17 @@ impl Rod {
             new.theta[j] = unwrap_near(angle, new.theta[j]);
         }
         new.director = new.geometry.bishop[0];
+        // Only edges outside the tissue have changed, which nothing grips.
+        let (now, was) = (new.theta.len(), self.grip.len());
+        new.grip = match was {
+            0 => Vec::new(),
+            _ => (0..now)
+                .map(|j| match (j + was).checked_sub(now) {
+                    Some(old) => self.grip[old],
+                    None => 0.0,
+                })
+                .collect(),
+        };
         new.relax_twist(&[])?;
         *self = new;
         Ok(())

@@ -73,6 +73,9 @@ impl Rod {
             .extend(self.rest_lengths_at(&before, &after, start)?);
         let angles = self.angles_at(&before, &after, start)?;
         new.theta = self.theta[..start].iter().cloned().chain(angles).collect();
+        if self.grip.len() == self.theta.len() {
+            new.grip = nearest_edge(&self.grip, &before, &after, start);
+        }
         new.spin = nearest_edge(&self.spin, &before, &after, start);
         let mut velocity = self.velocity[start..].to_vec();
         if self.held.base {

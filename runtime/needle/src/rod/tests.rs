@@ -440,3 +440,52 @@ fn natural_curvature_is_the_integral_over_each_cell() {
     // 3 mm of the first arc less the outer half edge (1 mm), 4 mm of the second.
     assert!((turning - DVec2::new(0.08, 0.1)).length() < 1e-12, "{turning}");
 }
+
+/// A straight shaft gripped over its last 60 mm and turned at its base winds up by a front that goes inwards: the tip stays until the twist is
+/// m·L·a/GJ + m·L²/(2GJ), a the length outside, and lags by that from then on. Turned back, it holds until twice the torque.
+#[test]
+fn gripped_shaft_lags_by_the_closed_form() {
+    let (out, inside, m) = (40.0, 60.0, 2e6);
+    let mut rod = Rod::in_sleeve(
+        NeedleParams::default(),
+        DVec3::ZERO,
+        DVec3::X,
+        DVec3::Y,
+        5.0,
+        out + inside,
+        100,
+    )
+    .unwrap();
+    let mut grip = vec![0.0; rod.theta().len()];
+    grip[41..].fill(m);
+    rod.grip(grip);
+    let twist = rod.stiffness().twist_un_mm2;
+    let full = m * inside * out / twist + m * inside * inside / (2.0 * twist);
+    let (mut turned, step) = (0.0, full / 40.0);
+    let tip = |rod: &Rod| rod.theta()[rod.theta().len() - 1];
+    for _ in 0..80 {
+        rod.turn_ends(step, 0.0).unwrap();
+        turned += step;
+        // Torque at the mouth from the length of the front.
+        let front = (out * out + 2.0 * turned * twist / m).sqrt() - out;
+        let expected = m * front.min(inside);
+        let off = -rod.twist_torque(1) - expected;
+        assert!(off.abs() < 0.03 * m * inside, "{turned} {off}");
+        let lag = turned.min(full);
+        assert!(
+            (tip(&rod) - (turned - lag)).abs() < 0.01 * full,
+            "{turned} {}",
+            tip(&rod)
+        );
+    }
+    let at = tip(&rod);
+    for _ in 0..79 {
+        rod.turn_ends(-step, 0.0).unwrap();
+    }
+    assert!((tip(&rod) - at).abs() < 0.02 * full, "{} {at}", tip(&rod));
+    for _ in 0..20 {
+        rod.turn_ends(-step, 0.0).unwrap();
+    }
+    assert!((at - tip(&rod) - 19.0 * step).abs() < 0.02 * full);
+    assert!((rod.twist_torque(1) / (m * inside) - 1.0).abs() < 1e-6);
+}

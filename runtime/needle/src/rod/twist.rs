@@ -50,12 +50,65 @@ impl Rod {
     }
 
     /// Angles of least energy, edge 0's being given and, where the tip is held, the last edge's; `torque` (µN·mm about each
-    /// edge's tangent; empty: none) acts from outside. Newton's method with the tridiagonal second derivative and a line
-    /// search, from the angles at hand, so that a pre-bent needle stays on its branch until that ends.
+    /// edge's tangent; empty: none) acts from outside. Where the rod is gripped ([`Rod::grip`]) an edge keeps the angle that it has until the
+    /// torque on it passes what the grip bears, and turns against that: the angles of least energy and friction work (Coulomb, rate-independent).
     ///
     /// Errors
     /// - [`NeedleError::NotSettled`]
     pub(super) fn relax_twist(&mut self, torque: &[f64]) -> Result<(), NeedleError> {
+        let edges = self.theta.len();
+        let end = if self.held.tip { edges - 1 } else { edges };
+        let mut bears = vec![0.0; edges];
+        for j in 1..end {
+            bears[j] = self.grip.get(j).copied().unwrap_or(0.0) * self.rest_length[j];
+        }
+        if bears.iter().all(|b| *b <= 0.0) {
+            return self.relax_with(torque, &[]);
+        }
+        let before = self.theta.clone();
+        // Way in which each edge slides: 0 where it holds. One front of sliding edges goes along a straight shaft.
+        let mut slides = vec![0.0; edges];
+        for _ in 0..4 * edges + 10 {
+            let all: Vec<f64> = (0..edges)
+                .map(|j| torque.get(j).copied().unwrap_or(0.0) - slides[j] * bears[j])
+                .collect();
+            let holds: Vec<bool> = (0..edges).map(|j| bears[j] > 0.0 && slides[j] == 0.0).collect();
+            for j in (0..edges).filter(|&j| holds[j]) {
+                self.theta[j] = before[j];
+            }
+            self.relax_with(&all, &holds)?;
+            let gradient = self.angle_terms(self.angles_matter(), torque).gradient;
+            let mut changed = false;
+            for j in (1..end).filter(|&j| bears[j] > 0.0) {
+                let way: f64 = match slides[j] == 0.0 {
+                    true if gradient[j].abs() > bears[j] * (1.0 + 1e-9) => -gradient[j].signum(),
+                    false if slides[j] * (self.theta[j] - before[j]) < -1e-12 => 0.0,
+                    _ => slides[j],
+                };
+                changed |= way != slides[j];
+                slides[j] = way;
+            }
+            if !changed {
+                return Ok(());
+            }
+        }
+        Err(NeedleError::NotSettled {
+            what: "torsional friction of the needle",
+            iterations: 4 * edges + 10,
+            residual: f64::NAN,
+            tolerance: 1e-9,
+        })
+    }
+
+    /// Torque per length that the surroundings bear before each edge turns in them, µN·mm/mm; empty: none. It stays with the edges from the tip
+    /// when those of the base change.
+    pub(crate) fn grip(&mut self, per_length: Vec<f64>) {
+        self.grip = per_length;
+    }
+
+    /// [`Rod::relax_twist`] with some edges held. Newton's method with the tridiagonal second derivative and a line
+    /// search, from the angles at hand, so that a pre-bent needle stays on its branch until that ends.
+    fn relax_with(&mut self, torque: &[f64], holds: &[bool]) -> Result<(), NeedleError> {
         let edges = self.theta.len();
         let end = if self.held.tip { edges - 1 } else { edges };
         let angles_matter = self.angles_matter();
@@ -67,7 +120,12 @@ impl Rod {
         let mut residual = f64::INFINITY;
         let mut stalled = false;
         for _ in 0..MAX_ITERATIONS {
-            let terms = self.angle_terms(angles_matter, torque);
+            let mut terms = self.angle_terms(angles_matter, torque);
+            for j in (0..holds.len()).filter(|&j| holds[j]) {
+                terms.gradient[j] = 0.0;
+                terms.off[j] = 0.0;
+                terms.off[j.saturating_sub(1)] = 0.0;
+            }
             let (gradient, off) = (&terms.gradient[1..end], &terms.off[1..end]);
             residual = gradient.iter().fold(0.0, |m: f64, g| m.max(g.abs()));
             if residual <= tolerance || stalled {

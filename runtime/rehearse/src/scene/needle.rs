@@ -59,6 +59,9 @@ pub struct NeedleEntry {
     pub gap_mm: f64,
     /// Friction of the shaft in tissue, N/mm. 0.03; measured ones lie between 0.005 and 0.1.
     pub friction_n_per_mm: f64,
+    /// Torque per length that friction on the turning shaft bears, N·mm per mm: its tip then lags behind the base. 0; friction on a
+    /// shaft of radius r gives r times `friction_n_per_mm`.
+    pub torsional_friction_n: f64,
     /// Viscous friction per length and speed, N·s/m².
     pub viscous_n_s_per_m2: f64,
     /// Force for cutting tissue at the tip, N.
@@ -96,6 +99,7 @@ impl Default for NeedleEntry {
             direction: None,
             gap_mm: 2.0,
             friction_n_per_mm: 0.03,
+            torsional_friction_n: 0.0,
             viscous_n_s_per_m2: 20.0,
             cutting_force_n: 0.2,
             cutting_n: BTreeMap::new(),
@@ -191,6 +195,7 @@ impl NeedleEntry {
         let code = |name: &String| regions.iter().position(|r| r == name).map(|n| n as u16);
         NeedleFriction {
             friction_un_per_mm: 1e6 * self.friction_n_per_mm,
+            torsional_friction_un: 1e6 * self.torsional_friction_n,
             // 1 N·s/m² is 1 µN·s/mm².
             viscous_un_s_per_mm2: self.viscous_n_s_per_m2,
             cutting_un: 1e6 * self.cutting_force_n,

@@ -103,6 +103,13 @@ impl SceneSource {
                 "0 to 5 N/mm (measured: 0.005 to 0.1)",
             ),
             (
+                "torsional_friction_n",
+                n.torsional_friction_n,
+                0.0,
+                5.0,
+                "0 to 5 N·mm/mm (radius times friction_n_per_mm: some 0.01)",
+            ),
+            (
                 "viscous_n_s_per_m2",
                 n.viscous_n_s_per_m2,
                 0.0,
