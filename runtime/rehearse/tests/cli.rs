@@ -292,6 +292,28 @@ endsolid block
     }
 }
 
+#[test]
+fn organs_that_touch_stay_apart_and_organs_that_overlap_are_told() {
+    let d = Dir::new();
+    for (z_mm, overlap) in [(9.0, false), (3.6, true)] {
+        let second = format!(
+            "\n[[package]]\npath = 'k.palpate'\n[[package]]\npath = 'k.palpate'\nname = 'other'\noffset_mm = [0, 0, {z_mm}]\n"
+        );
+        d.write("two.toml", &(SCENE.to_owned() + &second));
+        d.ok("run two.toml -o out");
+        let page = d.read("out/summary.html");
+        assert_eq!(
+            page.contains("overlap where the scene places them"),
+            overlap,
+            "{z_mm}"
+        );
+        if !overlap {
+            assert!(!page.contains("inverted"), "{z_mm}");
+            d.ok("replay out/recording.json -q");
+        }
+    }
+}
+
 /// numpy and pyvista as independent readers, where `PALPATE_PYTHON` names an interpreter that has them.
 #[test]
 fn python_reads_a_sessions_arrays_and_grids() {

@@ -8,6 +8,7 @@ mod geometry;
 mod imaging;
 mod load;
 mod organ;
+mod overlap;
 mod setup;
 mod support;
 mod tissue;

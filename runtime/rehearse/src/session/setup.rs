@@ -7,7 +7,7 @@ use super::organ::Organ;
 use super::support::Balance;
 use super::tissue::TissueEngine;
 use super::tool::{Form, Target, first_contact, solver_pose, start_pose};
-use super::{Loaded, Session, SessionSize, Tool, load, patient, support};
+use super::{Loaded, Session, SessionSize, Tool, load, overlap, patient, support};
 use crate::motion::{RigidPose, Timeline};
 use crate::scene::Scene;
 use crate::trace::{StageRow, Trace};
@@ -71,6 +71,9 @@ impl Session {
         let contact_mm = load::particle_depth_mm(&first.model);
         let mut supports = support::supports(&scene, first, &organs, &bodies, contact_mm, origin)?;
         let mut warnings = load::cautions(first);
+        if !scene.is_fem() {
+            warnings.extend(overlap::cautions(&bodies));
+        }
         let threads = match device {
             Device::Cpu { threads } => *threads,
             Device::Gpu(_) => 0,
