@@ -13,6 +13,59 @@ use std::time::Instant;
 
 /// Steps in, and out again.
 const STEPS: usize = 200;
+/// Steps from the puncture until angles count, as in Chentanez et al. 2009.
+const AFTER_PUNCTURE: usize = 20;
+
+/// Dihedral angles of many meshes.
+struct Angles {
+    meshes: u32,
+    /// Least angle below 1, 3, 5, 8, 10.3°.
+    low: [u32; 5],
+    /// Greatest angle above 160°.
+    high: u32,
+    /// Either.
+    outside: u32,
+    range: (f64, f64),
+}
+
+impl Default for Angles {
+    fn default() -> Self {
+        Self {
+            meshes: 0,
+            low: [0; 5],
+            high: 0,
+            outside: 0,
+            range: (180.0, 0.0),
+        }
+    }
+}
+
+impl Angles {
+    fn count(&mut self, low: f64, high: f64) {
+        self.meshes += 1;
+        for (n, limit) in self.low.iter_mut().zip([1.0, 3.0, 5.0, 8.0, 10.3]) {
+            *n += u32::from(low < limit);
+        }
+        self.high += u32::from(high > 160.0);
+        self.outside += u32::from(low < 10.3 || high > 160.0);
+        self.range = (self.range.0.min(low), self.range.1.max(high));
+    }
+}
+
+impl std::fmt::Display for Angles {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        let share = |n: u32| 100.0 * f64::from(n) / f64::from(self.meshes.max(1));
+        write!(
+            f,
+            "{:.1}..{:.1}; % below 1, 3, 5, 8, 10.3°: {:.2?}, above 160°: {:.2}; within {:.2}",
+            self.range.0,
+            self.range.1,
+            self.low.map(share),
+            share(self.high),
+            100.0 - share(self.outside)
+        )
+    }
+}
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut args = std::env::args().skip(1);
@@ -27,7 +80,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("{} tets, {} regions", mesh.tets().count(), regions + 1);
     println!("angles at the start {:.1?}", mesh.dihedral_degrees());
     let mut total = BTreeMap::new();
-    let (mut times, mut least, mut most) = (Vec::new(), 180.0f64, 0.0f64);
+    let mut times = Vec::new();
+    let (mut inward, mut outward) = (Angles::default(), Angles::default());
     for needle in 0..needles {
         let materials = vec![Material::default(); regions as usize + 1];
         let mut sim = Simulation::new(mesh.clone(), materials, Settings::default())?;
@@ -41,9 +95,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let (mut at, mut direction) = (start, direction);
         let mut path = Vec::new();
         let mut worst = (180.0f64, 0.0f64);
+        let mut see = |angles: &mut Angles, sim: &Simulation| {
+            let (low, high) = sim.mesh().dihedral_degrees();
+            worst = (worst.0.min(low), worst.1.max(high));
+            angles.count(low, high);
+        };
         let mut counts: BTreeMap<String, u32> = BTreeMap::new();
-        let mut since_hole = 0;
-        for _ in 0..STEPS {
+        for step in 0..STEPS {
             at += direction * step_mm;
             direction = turn * direction;
             let Some(tip) = state(&sim, at) else { break };
@@ -58,14 +116,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             *counts.entry("fallback".into()).or_default() += report.fallbacks;
             *counts.entry("undone".into()).or_default() += report.undone;
             *counts.entry("pierced".into()).or_default() += report.pierced;
-            since_hole = if report.pierced > 0 { 0 } else { since_hole + 1 };
-            if since_hole >= 20 {
-                let (low, high) = sim.mesh().dihedral_degrees();
-                worst = (worst.0.min(low), worst.1.max(high));
+            if step >= AFTER_PUNCTURE {
+                see(&mut inward, &sim);
             }
         }
         let (nodes, depth) = (track.nodes().len(), track.depth());
-        for at in path.into_iter().rev().skip(1) {
+        for &at in path.iter().rev().skip(1) {
             let Some(tip) = state(&sim, at) else { break };
             let clock = Instant::now();
             let report = track.retract(&mut sim, tip)?;
@@ -73,6 +129,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             count(&mut counts, &report.operations, "back ");
             *counts.entry("back fallback".into()).or_default() += report.fallbacks;
             *counts.entry("restored".into()).or_default() += report.restored;
+            if path.len() > AFTER_PUNCTURE {
+                see(&mut outward, &sim);
+            }
         }
         let left = track.leave(&mut sim)?;
         if tets(sim.mesh()) != tets(&mesh) || sim.mesh().rest()[..mesh.node_slots()] != *mesh.rest() {
@@ -86,16 +145,16 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             left.displaced.len(),
             left.restored,
         );
-        (least, most) = (least.min(worst.0), most.max(worst.1));
         for (k, v) in counts {
             *total.entry(k).or_insert(0) += v;
         }
     }
     times.sort_by(f64::total_cmp);
     println!("{total:?}");
-    println!("angles {least:.1}..{most:.1}");
+    println!("in  {inward}\nout {outward}");
     println!(
-        "µs a motion: median {:.0}, 99 % {:.0}, most {:.0}",
+        "µs a motion: mean {:.0}, median {:.0}, 99 % {:.0}, most {:.0}",
+        times.iter().sum::<f64>() / times.len() as f64,
         times[times.len() / 2],
         times[times.len() * 99 / 100],
         times[times.len() - 1]

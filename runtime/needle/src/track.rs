@@ -2,25 +2,31 @@
 //! (Chentanez et al. 2009, §3.4.1, Algorithm 2).
 //!
 //! All in material (rest) space; the world state of nodes made or moved is interpolated in the deformed mesh, so that its shape
-//! does not jump. Outer surface and interfaces between regions keep their shape.
+//! does not jump. Outer surface and interfaces between regions keep their shape but for small shares of the volume there
+//! ([`TrackParams`]). After each motion nodes along the whole needle move for better dihedral angles; Algorithm 2 has none of that.
 
 mod candidate;
 mod edit;
+mod fit;
+mod grip;
 mod locate;
 mod overlay;
+mod params;
 mod puncture;
 mod quality;
+mod tend;
 
 use crate::NeedleError;
-use crate::error::{check, check_finite};
-use candidate::{Candidate, Goal, Grip, Motion, Search, Site, best, surroundings};
+use crate::error::check_finite;
+use candidate::{Candidate, Goal, Motion, Search, Site, best};
 use edit::Change;
 use glam::DVec3;
+use grip::{Grip, surroundings};
 pub use locate::locate;
 pub(crate) use locate::walk;
 use locate::{Crossing, blend, locate_in, state_at, trace};
 use palpate_fem::{NodeState, Simulation, Tet};
-use serde::{Deserialize, Serialize};
+pub use params::TrackParams;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Halvings of a motion for which no operation was found, before every face on the way is split.
@@ -29,100 +35,6 @@ const MOST_HALVINGS: u32 = 4;
 const MOST_PARTS: u32 = 200;
 /// Motions shorter than this, mm, leave the tip where it is.
 const LEAST_MOTION_MM: f64 = 1e-9;
-
-/// How the mesh follows the tip.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct TrackParams {
-    /// Quality (signed volume over the cube of the root-mean-squared edge length; 0.118 for a regular tet) that every tet made must
-    /// exceed. Just above what the FEM refuses as flat: right after a puncture edges are unavoidably short.
-    pub least_quality: f64,
-    /// Quality that the tets around a puncture of the surface or of an interface should reach; below it the hole may be shifted onto
-    /// an edge or node nearby. About that of a dihedral angle of 10°.
-    pub fair_quality: f64,
-    /// Farthest such a shift, as a share of the mean edge length of the face: a compromise between slivers that stay as long as the
-    /// needle does and a needle pushed aside.
-    pub shift_share: f64,
-    /// Largest change of a region's volume that moving a node of the surface to the puncture may cause, as a share of the volume of
-    /// the tets around it; what a coarse mesh of a curved organ misses anyway.
-    pub puncture_volume_change: f64,
-    /// Largest change of a region's volume that a node at the tip may cause at an interface between regions, as a share of the volume
-    /// of the tets around it, while the needle is there; 0 keeps interfaces as they are. A little spares slivers between tip and
-    /// interface: 0.03 lets an interface give way by about a tenth of an element.
-    pub interface_volume_change: f64,
-    /// Quality of tets at the tip below which tissue nodes next to them, not on the needle, move to make them better; 0 never. About
-    /// that of a dihedral angle of 15°. Beyond Algorithm 2, which moves only nodes that are or were on the needle.
-    pub relax_below: f64,
-    /// Evaluations of the optimiser that moves the node next to the tip; 20 leave 1e-4 of the segment.
-    pub evaluations: u32,
-    /// Whether nodes left moved go back to their first places when the needle has left.
-    pub put_back: bool,
-}
-
-impl Default for TrackParams {
-    fn default() -> Self {
-        Self {
-            least_quality: 1e-5,
-            fair_quality: 0.02,
-            shift_share: 0.1,
-            puncture_volume_change: 0.01,
-            interface_volume_change: 0.03,
-            relax_below: 0.03,
-            evaluations: 20,
-            put_back: true,
-        }
-    }
-}
-
-impl TrackParams {
-    /// # Errors
-    /// [`NeedleError::Parameter`] for the first field out of range.
-    pub fn check(&self) -> Result<(), NeedleError> {
-        let between = |v: f64, low: f64, high: f64| v >= low && v <= high;
-        check(
-            between(self.least_quality, 2e-6, 0.01),
-            "least_quality",
-            self.least_quality,
-            "2e-6 to 0.01",
-        )?;
-        check(
-            between(self.fair_quality, 0.0, 0.118),
-            "fair_quality",
-            self.fair_quality,
-            "0 to 0.118",
-        )?;
-        check(
-            between(self.shift_share, 0.0, 0.5),
-            "shift_share",
-            self.shift_share,
-            "0 to 0.5",
-        )?;
-        check(
-            between(self.puncture_volume_change, 0.0, 0.1),
-            "puncture_volume_change",
-            self.puncture_volume_change,
-            "0 to 0.1",
-        )?;
-        check(
-            between(self.interface_volume_change, 0.0, 0.1),
-            "interface_volume_change",
-            self.interface_volume_change,
-            "0 to 0.1",
-        )?;
-        check(
-            between(self.relax_below, 0.0, 0.118),
-            "relax_below",
-            self.relax_below,
-            "0 to 0.118",
-        )?;
-        check(
-            (4..=200).contains(&self.evaluations),
-            "evaluations",
-            f64::from(self.evaluations),
-            "4 to 200",
-        )
-    }
-}
 
 /// What was done to the mesh.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -161,6 +73,8 @@ pub struct TrackReport {
     pub fallbacks: u32,
     /// Splits that could only be undone with nodes moved back to where they were before.
     pub restored: u32,
+    /// Nodes moved afterwards for better dihedral angles.
+    pub tended: u32,
     /// Material distance between the tip's node and the place asked for, mm.
     pub deviation_mm: f64,
     /// Whether the chain has come down to the entry.
@@ -177,6 +91,7 @@ impl Default for TrackReport {
             pierced: 0,
             fallbacks: 0,
             restored: 0,
+            tended: 0,
             deviation_mm: 0.0,
             at_entry: false,
         }
@@ -210,6 +125,8 @@ pub struct LeaveReport {
 struct Split {
     /// Node made.
     node: u32,
+    /// Where.
+    home: DVec3,
     /// Tets that it replaced.
     parents: Vec<Tet>,
     /// Places, just before, of the nodes that the track had moved or made: with them that mesh was valid.
@@ -276,6 +193,7 @@ impl Track {
         let was = at_interface(sim, start);
         let mut parts = MOST_PARTS;
         self.forward(sim, tip, 0, &mut parts, &mut report)?;
+        self.tend(sim, &mut report)?;
         let report = self.finish(sim, tip, report)?;
         Ok(TrackReport {
             pierced: report
@@ -322,6 +240,7 @@ impl Track {
             self.forward(sim, tip, MOST_HALVINGS - 1, &mut parts, &mut report)?;
             break;
         }
+        self.tend(sim, &mut report)?;
         self.finish(sim, tip, report)
     }
 
@@ -484,7 +403,9 @@ impl Track {
         search.candidates(goal, motion, &mut found);
         let (tried, blocked) = (search.tried, search.blocked);
         report.tried += tried;
-        let change = best(sim.mesh(), found).map(|c| search.relax(c)).map(Change::from);
+        let change = best(sim.mesh(), found, self.params.tend_below)
+            .map(|c| search.relax(c))
+            .map(Change::from);
         self.take(sim, change, blocked, tip, report)
     }
 
@@ -537,7 +458,7 @@ impl Track {
         }
         let (tried, blocked) = (search.tried, search.blocked);
         report.tried += tried;
-        let picked = best(sim.mesh(), found);
+        let picked = best(sim.mesh(), found, self.params.tend_below);
         let rest = picked.as_ref().map(|c| c.overlay.rest(c.tip));
         let node = face[0];
         let state = match rest {

@@ -149,6 +149,7 @@ fn difference(a: &[f64], b: &[f64]) -> f64 {
 fn no_operation_would_have_been_better() {
     let params = TrackParams {
         relax_below: 0.0,
+        tend_below: 0.0,
         ..TrackParams::default()
     };
     let (mut same, mut better, mut splits) = (0, 0, 0);

@@ -1,5 +1,7 @@
 //! Candidate operations at the tip and the choice among them (Chentanez et al. 2009, §3.4.1, Algorithm 2).
 
+use super::fit::fit;
+use super::grip::{Dent, Grip, surroundings};
 use super::locate::barycentric;
 use super::overlay::{NEW, Overlay, Weighed};
 use super::quality::quality;
@@ -90,16 +92,6 @@ pub(super) struct Search<'a> {
     grips: Vec<(u32, Grip)>,
 }
 
-/// What keeps a node where it is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Grip {
-    Free,
-    /// Regions meet there.
-    Interface,
-    /// On the boundary, held, or another needle's.
-    Fixed,
-}
-
 impl<'a> Search<'a> {
     pub fn new(sim: &'a Simulation, track: &'a Track) -> Self {
         Self {
@@ -131,6 +123,22 @@ impl<'a> Search<'a> {
         self.grip(node) == Grip::Free
     }
 
+    /// How far a node of an interface may go; `None` where interfaces do not give way.
+    pub fn dent(&self, overlay: &Overlay, node: u32) -> Option<Dent> {
+        let home = self.track.home(node).unwrap_or_else(|| overlay.rest(node));
+        let share = self.track.params.interface_volume_change;
+        (share > 0.0).then(|| Dent::new(overlay, node, home, share))?
+    }
+
+    /// Whether a node may be brought to a place.
+    fn may_go(&mut self, overlay: &Overlay, node: u32, place: DVec3) -> bool {
+        match self.grip(node) {
+            Grip::Free => true,
+            Grip::Interface => self.dent(overlay, node).is_some_and(|d| d.allows(place)),
+            Grip::Fixed => false,
+        }
+    }
+
     /// Whether interfaces may give way a little.
     fn yields(&self) -> bool {
         self.track.params.interface_volume_change > 0.0
@@ -146,7 +154,7 @@ impl<'a> Search<'a> {
             return;
         };
         let inside = matches!(goal.site, Site::Inside(..));
-        if inside && n >= 2 && self.is_free(tip) {
+        if inside && n >= 2 && self.may_go(&base, tip, goal.rest) {
             let mut overlay = base.clone();
             overlay.move_to(tip, goal.rest);
             // Beyond Algorithm 2: the node before the tip may come along, which puts off most splits.
@@ -201,12 +209,13 @@ impl<'a> Search<'a> {
         after: After,
         out: &mut Vec<Candidate<'a>>,
     ) {
-        let limit = match goal.site {
+        let general = match goal.site {
             Site::Inside(..) => self.track.params.interface_volume_change.max(1e-12),
             _ => self.volume_change,
         };
         for kind in kinds(&goal.site) {
             self.tried += 1;
+            let mut limit = general;
             let mut overlay = base.clone();
             let mut kept = kept;
             let exact = !matches!(goal.site, Site::Inside(..));
@@ -220,15 +229,12 @@ impl<'a> Search<'a> {
                         kept -= 1;
                     }
                     let freed = matches!(after, After::Free(f) if f == c);
-                    let stays = match self.grip(c) {
-                        Grip::Free => false,
-                        Grip::Interface => !self.yields() || self.track.originals.contains_key(&c),
-                        Grip::Fixed => true,
-                    };
-                    if freed || stays || self.track.chain[..kept].contains(&c) {
+                    if freed || self.track.chain[..kept].contains(&c) || !self.may_go(&overlay, c, goal.rest)
+                    {
                         continue;
                     }
                     overlay.move_to(c, goal.rest);
+                    limit = f64::INFINITY;
                     (Operation::NodeSnap, None, c)
                 }
                 Kind::Pull(c) => {
@@ -282,10 +288,18 @@ impl<'a> Search<'a> {
     /// Moves the last node that stays to the best place between the tip and the node before it.
     fn slide(&mut self, overlay: &mut Overlay<'a>, kept: usize, tip: DVec3) {
         let node = self.track.chain[kept - 1];
-        if !self.is_free(node) {
-            return;
+        let mut tip = tip;
+        let mut before = overlay.rest(self.track.chain[kept - 2]);
+        match self.grip(node) {
+            Grip::Free => {}
+            Grip::Interface => {
+                let Some([a, b]) = self.dent(overlay, node).and_then(|d| d.part(tip, before)) else {
+                    return;
+                };
+                (tip, before) = (tip.lerp(before, a), tip.lerp(before, b));
+            }
+            Grip::Fixed => return,
         }
-        let before = overlay.rest(self.track.chain[kept - 2]);
         let best = overlay
             .star(node)
             .best_on(tip, before, self.track.params.evaluations);
@@ -514,35 +528,9 @@ fn split(overlay: &mut Overlay, tets: &[(u32, Tet)], simplex: &[u32], at: DVec3)
     Some(tets.iter().map(|t| t.1).collect())
 }
 
-/// Whether a node lies on the boundary or where regions meet.
-pub(super) fn surroundings(mesh: &TissueMesh, node: u32) -> Grip {
-    let tets: Vec<Tet> = mesh.around(node).iter().filter_map(|e| mesh.tet(e.tet)).collect();
-    let mut faces: Vec<[u32; 2]> = Vec::with_capacity(3 * tets.len());
-    for t in &tets {
-        let mut others = [0; 3];
-        let mut k = 0;
-        for c in t.corners {
-            if c != node && k < 3 {
-                others[k] = c;
-                k += 1;
-            }
-        }
-        let [a, b, c] = others;
-        faces.extend([[a, b], [a, c], [b, c]].map(|[p, q]| [p.min(q), p.max(q)]));
-    }
-    faces.sort_unstable();
-    if tets.is_empty() || faces.chunk_by(|a, b| a == b).any(|run| run.len() != 2) {
-        Grip::Fixed
-    } else if tets.iter().any(|t| t.region != tets[0].region) {
-        Grip::Interface
-    } else {
-        Grip::Free
-    }
-}
-
 /// The candidate whose tets, together with those that only others change, have the best qualities: worst first, then the second
-/// worst, and so on. The first of equals.
-pub(super) fn best<'a>(mesh: &TissueMesh, candidates: Vec<Candidate<'a>>) -> Option<Candidate<'a>> {
+/// worst, and so on. The first of equals. Dihedral angles count where they are worse than `bad` ([`super::TrackParams::tend_below`]).
+pub(super) fn best<'a>(mesh: &TissueMesh, candidates: Vec<Candidate<'a>>, bad: f64) -> Option<Candidate<'a>> {
     let mut region: Vec<u32> = candidates
         .iter()
         .flat_map(|c| c.weighed.changed.iter().copied())
@@ -553,13 +541,18 @@ pub(super) fn best<'a>(mesh: &TissueMesh, candidates: Vec<Candidate<'a>>) -> Opt
         .into_iter()
         .filter_map(|t| {
             let tet = mesh.tet(t)?;
-            Some((t, quality(tet.corners.map(|c| mesh.rest()[c as usize]))))
+            Some((t, worth(tet.corners.map(|c| mesh.rest()[c as usize]), bad)))
         })
         .collect();
     let mut best: Option<(Vec<f64>, Candidate)> = None;
     for c in candidates {
         let changed = &c.weighed.changed;
-        let mut vector = c.weighed.qualities.clone();
+        let mut vector: Vec<f64> = c
+            .overlay
+            .changed_tets()
+            .iter()
+            .map(|t| worth(c.overlay.shape(*t), bad))
+            .collect();
         vector.extend(
             now.iter()
                 .filter(|(t, _)| changed.binary_search(t).is_err())
@@ -574,6 +567,15 @@ pub(super) fn best<'a>(mesh: &TissueMesh, candidates: Vec<Candidate<'a>>) -> Opt
         }
     }
     best.map(|b| b.1)
+}
+
+/// What makes a tet good: its quality, or, where its dihedral angles are bad, how bad they are.
+fn worth(x: [DVec3; 4], bad: f64) -> f64 {
+    if bad <= 0.0 {
+        return quality(x);
+    }
+    let f = fit(x);
+    if f < bad { f } else { bad + quality(x) }
 }
 
 /// Which of two quality vectors, worst first, is better (greater).

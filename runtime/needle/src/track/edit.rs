@@ -1,6 +1,7 @@
 //! Applying a chosen change to the simulation, undoing splits, putting nodes back.
 
 use super::candidate::{Candidate, Search};
+use super::grip::Dent;
 use super::locate::state_at;
 use super::overlay::{NEW, Overlay};
 use super::{Displaced, Operation, Split, Track, TrackReport};
@@ -39,7 +40,7 @@ impl From<Candidate<'_>> for Change {
 }
 
 /// Removes tets and a node, adds a node, moves nodes and adds tets; returns the new node's slot.
-fn edit(
+pub(super) fn edit(
     sim: &mut Simulation,
     removed: &[u32],
     added: &[Tet],
@@ -122,6 +123,16 @@ impl Track {
         } else {
             None
         };
+        // A node made where regions meet may have dented them: its first place lies on the interface as it was.
+        let dented = change.parents.is_some().then(|| {
+            let overlay = Overlay {
+                mesh: sim.mesh(),
+                removed: change.removed.clone(),
+                added: change.added.clone(),
+                moved: change.moved.clone(),
+            };
+            Dent::undented(&overlay, NEW)
+        });
         let positions = change.parents.is_some().then(|| self.positions(sim));
         self.remember(sim, &moves);
         let apply = |sim: &mut Simulation| edit(sim, &change.removed, &change.added, &moves, gone, new);
@@ -135,6 +146,7 @@ impl Track {
         if let (Some(parents), Some(positions)) = (change.parents, positions) {
             self.stack.push(Split {
                 node: tip,
+                home: dented.flatten().unwrap_or(sim.mesh().rest()[tip as usize]),
                 parents,
                 positions,
             });
@@ -157,7 +169,7 @@ impl Track {
     }
 
     /// Keeps the first places of nodes of the original mesh that are about to move.
-    fn remember(&mut self, sim: &Simulation, moves: &[(u32, NodeState)]) {
+    pub(super) fn remember(&mut self, sim: &Simulation, moves: &[(u32, NodeState)]) {
         for (node, _) in moves {
             if !self.created(*node) {
                 let rest = sim.mesh().rest()[*node as usize];
@@ -282,6 +294,6 @@ impl Track {
 }
 
 /// State of the tissue where a node is to move in the material.
-fn state_of(sim: &Simulation, node: u32, rest: DVec3) -> Result<NodeState, NeedleError> {
+pub(super) fn state_of(sim: &Simulation, node: u32, rest: DVec3) -> Result<NodeState, NeedleError> {
     state_at(sim, rest, node).ok_or(NeedleError::TrackBroken { node })
 }

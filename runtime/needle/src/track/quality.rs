@@ -21,7 +21,7 @@ pub(super) fn quality(x: [DVec3; 4]) -> f64 {
 }
 
 /// Corner order of the face opposite each corner, seen from outside.
-const OPPOSITE: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
+pub(super) const OPPOSITE: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
 
 /// One tet as a function of one corner's place p: volume normal·(p − middle), squared edges fixed + 3·|p − middle|² together, with
 /// the middle of the face opposite.
