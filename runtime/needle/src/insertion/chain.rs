@@ -353,11 +353,8 @@ impl Insertion {
         report.needle_time_s += start.elapsed().as_secs_f64();
 
         let start = Instant::now();
-        let others = if self.needles.len() > 1 {
-            self.others(k)
-        } else {
-            Vec::new()
-        };
+        let alone = self.needles.len() == 1;
+        let others = if alone { Vec::new() } else { self.others(k) };
         let r = &mut report.needles[k];
         let (n, tissue) = (&mut self.needles[k], &mut self.tissue);
         let was = n.chain.len();
@@ -369,7 +366,12 @@ impl Insertion {
                 let tip = n.tip();
                 let boundary = tissue.mesh().boundary();
                 if let Some(point) = entry_point(tissue, &boundary, from, tip) {
-                    let track = Track::puncture_apart(tissue, point, self.params.track.clone(), others)?;
+                    let mut params = self.params.track.clone();
+                    if !alone {
+                        // No needle may change tets at nodes that another has moved: each keeps to its own narrow track.
+                        params.tend_below = 0.0;
+                    }
+                    let track = Track::puncture_apart(tissue, point, params, others)?;
                     for &node in track.nodes() {
                         let (v, a) = (tissue.velocities(), tissue.accelerations());
                         let (v, a) = (v[node as usize], a[node as usize]);

@@ -29,7 +29,7 @@ pub struct TrackParams {
     pub relax_below: f64,
     /// Fit of dihedral angles to the paper's range, 10.3–160.0°, below which nodes along the whole needle move to make it better after
     /// each motion, and operations are chosen by it rather than by quality: 1 is the range itself, above is inside it, about as the
-    /// square of the angle; 0 never. Beyond Algorithm 2.
+    /// square of the angle; 0 never, and so with several needles, whose tracks would widen. Beyond Algorithm 2.
     pub tend_below: f64,
     /// Evaluations of the optimiser that moves the node next to the tip; 20 leave 1e-4 of the segment.
     pub evaluations: u32,
