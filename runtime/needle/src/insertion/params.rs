@@ -43,7 +43,7 @@ pub struct NeedleFriction {
     /// Friction of the shaft per length in the tissue, µN/mm. Default 3e4 (0.03 N/mm); measured ones lie between 0.005 and 0.1 N/mm.
     pub friction_un_per_mm: f64,
     /// Torque per length that friction on the turning shaft bears, µN·mm per mm: the needle winds up in the tissue and its tip lags behind
-    /// the base (Reed et al. 2009). Coulomb's law on a shaft of radius r gives r times the friction per length. The tissue's own twist is left
+    /// the base. Coulomb's law on a shaft of radius r gives r times the friction per length. The tissue's own twist is left
     /// out. Default 0, as in the paper.
     pub torsional_friction_un: f64,
     /// Viscous friction per length and relative velocity (η), µN·s/mm². Default 20 (20 N·s/m²).
