@@ -1,3 +1,5 @@
 //! Bodies and checks that several tests use.
+#![allow(dead_code)]
 
+pub mod gel;
 pub mod track;

@@ -1,5 +1,4 @@
 //! Blocks of tets, and what must hold of them while a needle is inside.
-#![allow(dead_code)]
 
 use glam::DVec3;
 use palpate_fem::{Material, NodeState, Settings, Simulation, TissueMesh};
