@@ -2,7 +2,7 @@
 //!
 //! `cargo run --release -p palpate-fem --example press_tissue -- PACKAGE [SETTINGS.toml] [FOLDER for VTU files] [LAW]`
 //!
-//! `-` leaves out an argument; LAW is one of `linear`, `rotated_linear`, `corotated`, `neo_hookean`, `stable_neo_hookean`.
+//! `-` leaves out an argument; LAW is one of `linear`, `rotated_linear`, `corotated`, `neo_hookean`, `stable_neo_hookean`, `demiray`.
 
 use glam::DVec3;
 use palpate_fem::{Law, Place, Settings, Shape, Simulation, Solid, TissueMesh, TissueTable};

@@ -1,7 +1,7 @@
 //! One linear tet: shape gradients, deformation gradient, nodal forces (Irving et al. 2004, sections 3 and 5). The plain
 //! one-tet form that the packed assembly is tested against.
 
-use crate::material::{Lame, Law, Material, damping_stress};
+use crate::material::{Law, Material, Moduli, damping_stress};
 use crate::rotation::rotation;
 use glam::{DMat3, DVec3};
 
@@ -44,7 +44,7 @@ impl Element {
 
     /// Elastic and damping forces of a material at positions (mm) and velocities (mm/s), µN.
     pub fn material_forces(&self, material: &Material, x: [DVec3; 4], v: [DVec3; 4]) -> [DVec3; 4] {
-        let (lame, f) = (material.lame(), self.gradient(x));
+        let (lame, f) = (material.moduli(), self.gradient(x));
         let turn = damping_rotation(material.law, f);
         let stress =
             material.law.stress(lame, f) + damping_stress(lame, material.damping_s, turn, self.gradient(v));
@@ -52,7 +52,7 @@ impl Element {
     }
 
     /// Strain energy, nJ.
-    pub fn energy_nj(&self, law: Law, lame: Lame, x: [DVec3; 4]) -> f64 {
+    pub fn energy_nj(&self, law: Law, lame: Moduli, x: [DVec3; 4]) -> f64 {
         self.volume_mm3 * law.energy_density(lame, self.gradient(x))
     }
 }

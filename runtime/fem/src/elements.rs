@@ -1,7 +1,7 @@
 //! Forces and Jacobians of all tets, four at a time, and their sums per node and per matrix row. Every node gathers from
 //! its own tets in ascending order: no locks, no atomics, the same bits on any number of threads.
 
-use crate::material::{JacobianMode, Lame, Law, Material};
+use crate::material::{JacobianMode, Law, Material, Moduli};
 use crate::matrix::{BlockMatrix, ROWS_PER_TASK};
 use crate::mesh::{Tet, TissueMesh};
 use crate::rotation::get_lane;
@@ -116,7 +116,11 @@ impl Elements {
     pub fn set_tet(&mut self, mesh: &TissueMesh, slot: u32, tet: Tet, materials: &[Material]) {
         let element = mesh.element(tet);
         let material = &materials[tet.region as usize];
-        let Lame { mu_pa, lambda_pa } = material.lame();
+        let Moduli {
+            mu_pa,
+            lambda_pa,
+            stiffening,
+        } = material.moduli();
         let (pack, lane) = (&mut self.packs[slot as usize / 4], slot as usize % 4);
         for c in 0..4 {
             pack.corners[c][lane] = tet.corners[c];
@@ -127,6 +131,7 @@ impl Elements {
         set(&mut pack.volume, lane, element.volume_mm3);
         set(&mut pack.mu, lane, mu_pa);
         set(&mut pack.lambda, lane, lambda_pa);
+        set(&mut pack.stiffening, lane, stiffening);
         set(&mut pack.damping_s, lane, material.damping_s);
         let bit = 1u8 << lane;
         pack.law[lane] = material.law;
@@ -152,7 +157,7 @@ impl Elements {
         let explicit = match pack.law[slot as usize % 4] {
             Law::Linear => false,
             Law::RotatedLinear | Law::Corotated => self.mode.is_some_and(|m| m != JacobianMode::Frozen),
-            Law::NeoHookean | Law::StableNeoHookean => true,
+            Law::NeoHookean | Law::StableNeoHookean | Law::Demiray => true,
         };
         if explicit {
             pack.explicit |= bit;
@@ -384,12 +389,8 @@ impl Elements {
                 for p in packs {
                     let f = p.gradient(x);
                     for lane in (0..4).filter(|l| p.live & (1 << l) != 0) {
-                        let at = |v: f64x4| v.to_array()[lane];
-                        let lame = Lame {
-                            mu_pa: at(p.mu),
-                            lambda_pa: at(p.lambda),
-                        };
-                        sum += at(p.volume) * p.law[lane].energy_density(lame, get_lane(&f, lane));
+                        let volume = p.volume.to_array()[lane];
+                        sum += volume * p.law[lane].energy_density(p.moduli(lane), get_lane(&f, lane));
                     }
                 }
                 sum

@@ -33,7 +33,9 @@ pub use element::Element;
 pub use elements::LazyTest;
 pub use equilibrium::{Equilibrium, EquilibriumReport};
 pub use error::FemError;
-pub use material::{JacobianMode, LEAST_VOLUME_RATIO, Lame, Law, Material, Tangent, damping_stress};
+pub use material::{
+    GREATEST_EXPONENT, JacobianMode, LEAST_VOLUME_RATIO, Law, Material, Moduli, Tangent, damping_stress,
+};
 pub use matrix::{BlockMatrix, Row};
 pub use mesh::{Incidence, Tet, TissueMesh};
 pub use order::reverse_cuthill_mckee;

@@ -26,19 +26,30 @@ pub enum Law {
     NeoHookean,
     /// Smith, de Goes, Kim 2018 without their origin barrier: µ/2·(F:F − 3) − µ(J − 1) + (λ+µ)/2·(J − 1)².
     StableNeoHookean,
+    /// Stiffens exponentially (Demiray 1972; for J = 1 his W = µ/(2b)·(exp(b(F:F − 3)) − 1)), with the volumetric part of the stable
+    /// neo-Hookean law: W = µ/(2b)·(exp(b·q) − 1) + λ/2·(J − 1)², q = F:F − 3 − 2(J − 1) + (J − 1)². q is at least 0 for any F, quadratic
+    /// at small strain, so that µ and λ are Hooke's there, and b → 0 is [`Law::StableNeoHookean`]. Beyond b·q = [`GREATEST_EXPONENT`]
+    /// the exponential is continued by its parabola in q: flat and inverted tets push back with finite force.
+    Demiray,
 }
+
+/// Exponent beyond which [`Law::Demiray`] is continued by a parabola: some 150 times the shear modulus at rest, far past where tissue tears,
+/// and no harder than one Newton iteration of a step can follow.
+pub const GREATEST_EXPONENT: f64 = 5.0;
 
 /// Volume ratio below which [`Law::NeoHookean`] is continued: a tet has lost three quarters of its volume, which tissue never
 /// does, and the continuation is not yet so stiff that an inverted tet comes back like an explosion.
 pub const LEAST_VOLUME_RATIO: f64 = 0.25;
 
-/// Lamé constants, Pa.
+/// Constants of a law.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Lame {
-    /// Shear modulus µ.
+pub struct Moduli {
+    /// Shear modulus µ at small strain, Pa.
     pub mu_pa: f64,
-    /// λ.
+    /// Lamé's λ, Pa.
     pub lambda_pa: f64,
+    /// b of [`Law::Demiray`]; of no effect in the others.
+    pub stiffening: f64,
 }
 
 /// One tissue.
@@ -51,6 +62,9 @@ pub struct Material {
     pub youngs_modulus_pa: f64,
     /// Poisson's ratio, 0 to below 0.5. 0.45: nearly incompressible, yet linear tets do not lock.
     pub poisson_ratio: f64,
+    /// b of [`Law::Demiray`], above 0: how soon the tissue stiffens. A bar of that law that is stretched or pressed to the length s times
+    /// its own is about exp(b(s² + 2/s − 3)) times as stiff in shear as at rest. 8: nominal (see [`crate::TissueTable`]).
+    pub stiffening: f64,
     /// Density, g/mm³. 1.05e-3: kidney.
     pub density_g_mm3: f64,
     /// r, s: the damping stress is the law of [`Law::Corotated`] with r·µ and r·λ on the strain rate. 0.02: vibrations of
@@ -64,6 +78,7 @@ impl Default for Material {
             law: Law::Corotated,
             youngs_modulus_pa: 5000.0,
             poisson_ratio: 0.45,
+            stiffening: 8.0,
             density_g_mm3: 1.05e-3,
             damping_s: 0.02,
         }
@@ -71,20 +86,21 @@ impl Default for Material {
 }
 
 impl Material {
-    /// Lamé constants of the modulus and Poisson's ratio.
-    pub fn lame(&self) -> Lame {
+    /// Constants of the law: Lamé's from Young's modulus and Poisson's ratio.
+    pub fn moduli(&self) -> Moduli {
         let (e, nu) = (self.youngs_modulus_pa, self.poisson_ratio);
-        Lame {
+        Moduli {
             mu_pa: e / (2.0 * (1.0 + nu)),
             lambda_pa: e * nu / ((1.0 + nu) * (1.0 - 2.0 * nu)),
+            stiffening: self.stiffening,
         }
     }
 
     /// Refuses what cannot be simulated and returns warnings about what hardly can be meant.
     ///
     /// # Errors
-    /// [`FemError::Value`] for a modulus or density of zero or below, a Poisson ratio outside 0 to 0.5, a negative
-    /// damping, or anything that is no finite number.
+    /// [`FemError::Value`] for a modulus, stiffening or density of zero or below, a Poisson ratio outside 0 to 0.5, a stiffening above
+    /// 1000, a negative damping, or anything that is no finite number.
     pub fn check(&self, name: &str) -> Result<Vec<String>, FemError> {
         let field = |field: &'static str, v: f64, fine: bool, expected: &'static str| {
             if fine && v.is_finite() {
@@ -98,9 +114,10 @@ impl Material {
                 })
             }
         };
-        let (e, nu, rho, r) = (
+        let (e, nu, b, rho, r) = (
             self.youngs_modulus_pa,
             self.poisson_ratio,
+            self.stiffening,
             self.density_g_mm3,
             self.damping_s,
         );
@@ -111,6 +128,7 @@ impl Material {
             (0.0..0.5).contains(&nu),
             "0 or more and below 0.5",
         )?;
+        field("stiffening", b, b > 0.0 && b <= 1000.0, "above 0, at most 1000")?;
         field("density_g_mm3", rho, rho > 0.0, "a density above 0 g/mm³")?;
         field("damping_s", r, r >= 0.0, "0 s or more")?;
         let mut warnings = Vec::new();
@@ -130,6 +148,12 @@ impl Material {
                 "material {name}: linear tets lock at a Poisson ratio of {nu}; 0.45 to 0.49 is as incompressible as they get"
             ));
         }
+        if self.law == Law::Demiray && b > 50.0 {
+            warnings.push(format!(
+                "material {name}: with a stiffening of {b} tissue is rigid beyond a strain of some {:.0} %; organs have 1 to 20",
+                100.0 * (1.0 / b).sqrt()
+            ));
+        }
         if !(1e-4..1e-2).contains(&rho) {
             warnings.push(format!(
                 "material {name}: a density of {rho} g/mm³ is not that of a tissue (water has 1e-3); was {rho} kg/m³ or g/cm³ meant?"
@@ -144,30 +168,70 @@ impl Material {
     }
 }
 
-/// φ(J) of a neo-Hookean law W = µ/2·(F:F − 3) + φ(J), with its first and second derivatives.
-fn volume_term(
-    law: Law,
-    Lame {
-        mu_pa: mu,
-        lambda_pa: lambda,
-    }: Lame,
-    j: f64,
-) -> [f64; 3] {
-    if law == Law::StableNeoHookean {
-        let k = lambda + mu;
-        return [
-            -mu * (j - 1.0) + 0.5 * k * (j - 1.0) * (j - 1.0),
-            k * (j - 1.0) - mu,
-            k,
-        ];
+/// Energy per rest volume of a law of I₁ = F:F and J, and what makes up its stress P = mu·F + slope·cof F and its derivative.
+struct Invariants {
+    energy: f64,
+    mu: f64,
+    slope: f64,
+    /// δP's part along cof F of δJ.
+    curve: f64,
+    /// δP's part along G = F + (J − 2)·cof F of G:δF: the stiffening of [`Law::Demiray`], 0 in the others.
+    stiffening: f64,
+}
+
+impl Invariants {
+    fn new(law: Law, m: Moduli, squares: f64, j: f64) -> Self {
+        let (mu, lambda) = (m.mu_pa, m.lambda_pa);
+        let d = j - 1.0;
+        match law {
+            Law::NeoHookean => {
+                let j0 = j.max(LEAST_VOLUME_RATIO);
+                let ln = j0.ln();
+                let value = -mu * ln + 0.5 * lambda * ln * ln;
+                let slope = (lambda * ln - mu) / j0;
+                let curve = (lambda * (1.0 - ln) + mu) / (j0 * j0);
+                let d = j - j0;
+                Self {
+                    energy: 0.5 * mu * (squares - 3.0) + value + d * (slope + 0.5 * curve * d),
+                    mu,
+                    slope: slope + curve * d,
+                    curve,
+                    stiffening: 0.0,
+                }
+            }
+            Law::Demiray => {
+                let b = m.stiffening;
+                // The least value of q is 0; rounding may go below.
+                let q = (squares - 3.0 + d * (d - 2.0)).max(0.0);
+                let joint = q.min(GREATEST_EXPONENT / b);
+                let grown = (b * joint).exp();
+                let past = q - joint;
+                let value = (b * joint).exp_m1() / b + past * grown * (1.0 + 0.5 * b * past);
+                let mu_now = mu * grown * (1.0 + b * past);
+                Self {
+                    energy: 0.5 * mu * value + 0.5 * lambda * d * d,
+                    mu: mu_now,
+                    slope: mu_now * (d - 1.0) + lambda * d,
+                    curve: mu_now + lambda,
+                    stiffening: 2.0 * mu * b * grown,
+                }
+            }
+            _ => {
+                let k = lambda + mu;
+                Self {
+                    energy: 0.5 * mu * (squares - 3.0) - mu * d + 0.5 * k * d * d,
+                    mu,
+                    slope: k * d - mu,
+                    curve: k,
+                    stiffening: 0.0,
+                }
+            }
+        }
     }
-    let j0 = j.max(LEAST_VOLUME_RATIO);
-    let ln = j0.ln();
-    let value = -mu * ln + 0.5 * lambda * ln * ln;
-    let slope = (lambda * ln - mu) / j0;
-    let curve = (lambda * (1.0 - ln) + mu) / (j0 * j0);
-    let d = j - j0;
-    [value + d * (slope + 0.5 * curve * d), slope + curve * d, curve]
+}
+
+fn squares(f: DMat3) -> f64 {
+    f.to_cols_array().iter().map(|x| x * x).sum()
 }
 
 pub(crate) fn cofactor(f: DMat3) -> DMat3 {
@@ -183,13 +247,18 @@ fn trace(m: DMat3) -> f64 {
 }
 
 /// Hooke's law 2µ·sym(e) + λ·tr(e)·I.
-pub(crate) fn hooke(lame: Lame, e: DMat3) -> DMat3 {
+pub(crate) fn hooke(lame: Moduli, e: DMat3) -> DMat3 {
     (e + e.transpose()) * lame.mu_pa + DMat3::from_diagonal(DVec3::splat(lame.lambda_pa * trace(e)))
 }
 
 impl Law {
+    /// Whether stress depends on I₁ and J, not on R: such laws take the singular value decomposition for their Jacobian.
+    pub(crate) fn is_of_invariants(self) -> bool {
+        matches!(self, Self::NeoHookean | Self::StableNeoHookean | Self::Demiray)
+    }
+
     /// Strain energy per rest volume, Pa (times mm³: nJ).
-    pub fn energy_density(self, lame: Lame, f: DMat3) -> f64 {
+    pub fn energy_density(self, lame: Moduli, f: DMat3) -> f64 {
         let quadratic = |e: DMat3| {
             let sym = (e + e.transpose()) * 0.5;
             let squares: f64 = sym.to_cols_array().iter().map(|x| x * x).sum();
@@ -198,15 +267,12 @@ impl Law {
         match self {
             Self::Linear => quadratic(f - DMat3::IDENTITY),
             Self::RotatedLinear | Self::Corotated => quadratic(rotation(f).transpose() * f - DMat3::IDENTITY),
-            Self::NeoHookean | Self::StableNeoHookean => {
-                let squares: f64 = f.to_cols_array().iter().map(|x| x * x).sum();
-                0.5 * lame.mu_pa * (squares - 3.0) + volume_term(self, lame, f.determinant())[0]
-            }
+            _ => Invariants::new(self, lame, squares(f), f.determinant()).energy,
         }
     }
 
     /// First Piola–Kirchhoff stress, Pa.
-    pub fn stress(self, lame: Lame, f: DMat3) -> DMat3 {
+    pub fn stress(self, lame: Moduli, f: DMat3) -> DMat3 {
         match self {
             Self::Linear => hooke(lame, f - DMat3::IDENTITY),
             Self::RotatedLinear => {
@@ -217,22 +283,23 @@ impl Law {
                 let r = rotation(f);
                 r * hooke(lame, r.transpose() * f - DMat3::IDENTITY)
             }
-            Self::NeoHookean | Self::StableNeoHookean => {
-                f * lame.mu_pa + cofactor(f) * volume_term(self, lame, f.determinant())[1]
+            _ => {
+                let i = Invariants::new(self, lame, squares(f), f.determinant());
+                f * i.mu + cofactor(f) * i.slope
             }
         }
     }
 
     /// Diagonal of the stress in the principal frame, Pa, for stretches `s` (signed as in [`Svd`]). For
     /// [`Law::Linear`] this holds without rotation only.
-    pub fn principal_stress(self, lame: Lame, s: DVec3) -> DVec3 {
+    pub fn principal_stress(self, lame: Moduli, s: DVec3) -> DVec3 {
         match self {
             Self::Linear | Self::RotatedLinear | Self::Corotated => {
                 (s - 1.0) * (2.0 * lame.mu_pa) + lame.lambda_pa * (s.element_sum() - 3.0)
             }
-            Self::NeoHookean | Self::StableNeoHookean => {
-                let slope = volume_term(self, lame, s.x * s.y * s.z)[1];
-                s * lame.mu_pa + DVec3::new(s.y * s.z, s.x * s.z, s.x * s.y) * slope
+            _ => {
+                let i = Invariants::new(self, lame, s.length_squared(), s.x * s.y * s.z);
+                s * i.mu + DVec3::new(s.y * s.z, s.x * s.z, s.x * s.y) * i.slope
             }
         }
     }
@@ -240,7 +307,7 @@ impl Law {
 
 /// Kelvin–Voigt damping stress in the rotated frame, Pa: R·(2rµ·sym(RᵀḞ) + rλ·tr(RᵀḞ)·I), the form of Irving et al. 2004
 /// (its U·(…UᵀḞV…)·Vᵀ is the same), `rate` = Ḟ in 1/s.
-pub fn damping_stress(lame: Lame, damping_s: f64, rotation: DMat3, rate: DMat3) -> DMat3 {
+pub fn damping_stress(lame: Moduli, damping_s: f64, rotation: DMat3, rate: DMat3) -> DMat3 {
     rotation * hooke(lame, rotation.transpose() * rate) * damping_s
 }
 
@@ -280,7 +347,7 @@ const LEAST_SUM: f64 = 1e-9;
 
 impl Tangent {
     /// Derivative of `law`'s stress at F (fem.md sections 3.1 and 3.2: Teran et al. 2005).
-    pub fn new(law: Law, lame: Lame, f: DMat3, mode: JacobianMode) -> Self {
+    pub fn new(law: Law, lame: Moduli, f: DMat3, mode: JacobianMode) -> Self {
         let (mu, lambda) = (lame.mu_pa, lame.lambda_pa);
         let hooke = DMat3::from_diagonal(DVec3::splat(2.0 * mu))
             + DMat3::from_cols(DVec3::splat(lambda), DVec3::splat(lambda), DVec3::splat(lambda));
@@ -295,11 +362,19 @@ impl Tangent {
         }
         let Svd { u, s, v } = crate::rotation::svd(f);
         let (scale, flip, twist) = match law {
-            Law::NeoHookean | Law::StableNeoHookean => {
-                let [_, slope, curve] = volume_term(law, lame, s.x * s.y * s.z);
+            _ if law.is_of_invariants() => {
+                let j = s.x * s.y * s.z;
+                let Invariants {
+                    mu,
+                    slope,
+                    curve,
+                    stiffening,
+                    ..
+                } = Invariants::new(law, lame, s.length_squared(), j);
                 let c = DVec3::new(s.y * s.z, s.x * s.z, s.x * s.y);
-                let mut a = DMat3::from_cols(c * (curve * c.x), c * (curve * c.y), c * (curve * c.z))
-                    + DMat3::from_diagonal(DVec3::splat(mu));
+                let g = s + c * (j - 2.0);
+                let square = |v: DVec3, k: f64| DMat3::from_cols(v * (k * v.x), v * (k * v.y), v * (k * v.z));
+                let mut a = square(c, curve) + square(g, stiffening) + DMat3::from_diagonal(DVec3::splat(mu));
                 for (i, j, k) in [(0, 1, 2), (1, 2, 0), (2, 0, 1)] {
                     a.col_mut(i)[j] += slope * s[k];
                     a.col_mut(j)[i] += slope * s[k];

@@ -14,6 +14,7 @@ fn material(law: Law, damping_s: f64) -> Material {
         law,
         youngs_modulus_pa: 5000.0,
         poisson_ratio: 0.4,
+        stiffening: 4.0,
         density_g_mm3: 1.05e-3,
         damping_s,
     }
@@ -30,6 +31,7 @@ fn an_oscillator_takes_the_worked_steps() {
         law: Law::Linear,
         youngs_modulus_pa: 50.0 / (v * e(nu)),
         poisson_ratio: nu,
+        stiffening: 4.0,
         density_g_mm3: 2.0 / (0.25 * v),
         damping_s: 0.4 / 50.0,
     };
@@ -93,6 +95,7 @@ fn energy_stays_without_damping_and_falls_with_it() {
         Law::Corotated,
         Law::NeoHookean,
         Law::StableNeoHookean,
+        Law::Demiray,
     ] {
         let settings = Settings {
             dt_s: 0.002,
@@ -245,6 +248,7 @@ fn an_inverted_body_comes_back() {
         Law::Corotated,
         Law::NeoHookean,
         Law::StableNeoHookean,
+        Law::Demiray,
     ] {
         let (points, tets) = bar([20.0, 10.0, 10.0], [4, 2, 2]);
         let mut s = tissue(&points, &tets, material(law, 0.03), weightless());

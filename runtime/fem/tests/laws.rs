@@ -2,30 +2,39 @@
 
 use glam::{DMat3, DVec3};
 use palpate_fem::{
-    Element, JacobianMode, LEAST_VOLUME_RATIO, Lame, Law, Material, Tangent, damping_stress, rotation, svd,
+    Element, GREATEST_EXPONENT, JacobianMode, LEAST_VOLUME_RATIO, Law, Material, Moduli, Tangent,
+    damping_stress, rotation, svd,
 };
 use proptest::prelude::*;
 
-const LAWS: [Law; 5] = [
+const LAWS: [Law; 6] = [
     Law::Linear,
     Law::RotatedLinear,
     Law::Corotated,
     Law::NeoHookean,
     Law::StableNeoHookean,
+    Law::Demiray,
 ];
+
+/// Sum of squares − 3 − 2(J − 1) + (J − 1)²: the strain of Demiray's law.
+fn demiray_strain(f: DMat3) -> f64 {
+    let d = f.determinant() - 1.0;
+    f.to_cols_array().iter().map(|x| x * x).sum::<f64>() - 3.0 - 2.0 * d + d * d
+}
 
 fn tissue(law: Law) -> Material {
     Material {
         law,
         youngs_modulus_pa: 1000.0,
         poisson_ratio: 0.45,
+        stiffening: 3.0,
         density_g_mm3: 1.05e-3,
         damping_s: 0.0,
     }
 }
 
-fn lame() -> Lame {
-    tissue(Law::Linear).lame()
+fn lame() -> Moduli {
+    tissue(Law::Linear).moduli()
 }
 
 fn size(m: DMat3) -> f64 {
@@ -62,7 +71,7 @@ fn lame_constants() {
         poisson_ratio: 0.49,
         ..Material::default()
     }
-    .lame();
+    .moduli();
     near(&[l.mu_pa, l.lambda_pa], &[3355.70, 164_429.5], 0.05);
 }
 
@@ -140,6 +149,7 @@ fn an_inverted_tet_pushes_itself_back() {
         Law::Corotated,
         Law::NeoHookean,
         Law::StableNeoHookean,
+        Law::Demiray,
     ] {
         let f = e.material_forces(&tissue(law), x, [DVec3::ZERO; 4]);
         assert!(f[3].z > 0.0 && f.iter().all(|v| v.is_finite()), "{law:?} {f:?}");
@@ -227,11 +237,26 @@ fn gradients() -> impl Strategy<Value = DMat3> {
     })
 }
 
-/// Away from the places where a law's own derivative jumps: rotations of flat inverted tets, the neo-Hookean joint.
+/// Away from the places where a law's own derivative jumps: rotations of flat inverted tets, the neo-Hookean joint. (Stress and derivative of
+/// Demiray's law have no jump at all.)
 fn smooth(law: Law, f: DMat3) -> bool {
     let s = svd(f).s;
     let rotated = matches!(law, Law::RotatedLinear | Law::Corotated);
     (!rotated || s.y + s.z > 0.05) && (f.determinant() - LEAST_VOLUME_RATIO).abs() > 1e-3
+}
+
+/// What Demiray's law adds to the size of a law's second derivative, for tolerances of differences.
+fn curvature(law: Law, f: DMat3) -> f64 {
+    if law != Law::Demiray {
+        return 0.0;
+    }
+    size(law.stress(lame(), f))
+        + Tangent::new(law, lame(), f, JacobianMode::Exact)
+            .scale
+            .to_cols_array()
+            .iter()
+            .map(|x| x.abs())
+            .sum::<f64>()
 }
 
 proptest! {
@@ -245,7 +270,7 @@ proptest! {
             let slope = (law.energy_density(lame(), f + d * h) - law.energy_density(lame(), f - d * h)) / (2.0 * h);
             let p = law.stress(lame(), f);
             let work: f64 = p.to_cols_array().iter().zip(d.to_cols_array()).map(|(a, b)| a * b).sum();
-            prop_assert!((slope - work).abs() < 2e-6 * (1.0 + size(p) + 4000.0), "{law:?}: {slope} for {work}");
+            prop_assert!((slope - work).abs() < 2e-6 * (1.0 + size(p) + 4000.0 + curvature(law, f)), "{law:?}: {slope} for {work}");
         }
     }
 
@@ -257,7 +282,7 @@ proptest! {
             let h = 1e-6;
             let slope = (law.stress(lame(), f + d * h) - law.stress(lame(), f - d * h)) * (0.5 / h);
             let found = t.apply(d);
-            prop_assert!(size(slope - found) < 1e-5 * (size(slope) + 4000.0), "{law:?} {slope} {found}");
+            prop_assert!(size(slope - found) < 1e-5 * (size(slope) + 4000.0 + curvature(law, f)), "{law:?} {slope} {found}");
         }
     }
 
@@ -280,7 +305,7 @@ proptest! {
             prop_assert!(size(held(f) - law.stress(lame(), f)) < 1e-8 * (1.0 + size(held(f))));
             let h = 1e-6;
             let slope = (held(f + d * h) - held(f - d * h)) * (0.5 / h);
-            prop_assert!(size(slope - t.apply(d)) < 1e-5 * (size(slope) + 4000.0), "{law:?}");
+            prop_assert!(size(slope - t.apply(d)) < 1e-5 * (size(slope) + 4000.0 + curvature(law, f)), "{law:?}");
         }
     }
 
@@ -342,8 +367,122 @@ proptest! {
             let forces = e.forces(law.stress(l, f));
             let sum: DVec3 = forces.iter().sum();
             let torque: DVec3 = x.iter().zip(&forces).map(|(p, f)| p.cross(*f)).sum();
-            prop_assert!(sum.length() < 1e-9);
-            prop_assert!(law == Law::Linear || torque.length() < 1e-8 * (1.0 + size(a)));
+            let scale = 1.0 + forces.iter().map(|f| f.length()).fold(size(a), f64::max);
+            prop_assert!(sum.length() < 1e-12 * (1e3 + scale));
+            prop_assert!(law == Law::Linear || torque.length() < 1e-8 * scale);
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 400, failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// Turned before, the energy stays and the stress turns along; turned after (an isotropic body turned in its rest shape), likewise.
+    #[test]
+    fn demirays_law_is_objective_and_isotropic(f in gradients(), angles in prop::array::uniform3(-3.0f64..3.0)) {
+        let turn = DMat3::from_rotation_x(angles[0]) * DMat3::from_rotation_y(angles[1]) * DMat3::from_rotation_z(angles[2]);
+        let (law, m) = (Law::Demiray, lame());
+        let (w, p) = (law.energy_density(m, f), law.stress(m, f));
+        for (g, q) in [(turn * f, turn * p), (f * turn, p * turn)] {
+            prop_assert!((law.energy_density(m, g) - w).abs() < 1e-10 * (1.0 + w));
+            prop_assert!(size(law.stress(m, g) - q) < 1e-10 * (1e3 + size(p)));
+        }
+        // Its strain is at least 0 for any F, so that the exponential only ever stiffens.
+        prop_assert!(demiray_strain(f) > -1e-12 * (1.0 + size(f).powi(6)));
+        prop_assert!(w >= Law::StableNeoHookean.energy_density(m, f) - 1e-9);
+    }
+
+    #[test]
+    fn demirays_law_is_hookes_at_small_strain_and_stable_neo_hookean_without_stiffening(d in prop::array::uniform9(-1.0f64..1.0), f in gradients()) {
+        let d = DMat3::from_cols_array(&d);
+        for b in [1e-3, 1.0, 30.0] {
+            let m = Moduli { stiffening: b, ..lame() };
+            let h = 1e-6;
+            let slope = (Law::Demiray.stress(m, DMat3::IDENTITY + d * h) - Law::Demiray.stress(m, DMat3::IDENTITY - d * h)) * (0.5 / h);
+            let hooke = Law::Linear.stress(m, DMat3::IDENTITY + d);
+            prop_assert!(size(slope - hooke) < 1e-5 * size(hooke), "{b}: {slope} for {hooke}");
+            let t = Tangent::new(Law::Demiray, m, DMat3::IDENTITY, JacobianMode::Frozen);
+            prop_assert!(size(t.apply(d) - hooke) < 1e-9 * size(hooke));
+        }
+        let m = Moduli { stiffening: 1e-9, ..lame() };
+        let (soft, stable) = (Law::Demiray.stress(m, f), Law::StableNeoHookean.stress(m, f));
+        prop_assert!(size(soft - stable) < 1e-6 * (1e3 + size(stable)), "{soft} {stable}");
+    }
+}
+
+/// A bar stretched without change of volume, to the closed form of Demiray's incompressible law: the Cauchy stress along it, less that
+/// across, is µ·exp(b(s² + 2/s − 3))·(s² − 1/s).
+#[test]
+fn demirays_law_has_its_uniaxial_closed_form() {
+    for b in [0.5, 4.0, 12.0] {
+        for s in [0.7f64, 0.9, 1.1, 1.3, 1.5] {
+            let m = Moduli {
+                stiffening: b,
+                ..lame()
+            };
+            let strain = s * s + 2.0 / s - 3.0;
+            if b * strain > GREATEST_EXPONENT {
+                continue;
+            }
+            let f = DMat3::from_diagonal(DVec3::new(s, s.powf(-0.5), s.powf(-0.5)));
+            let p = Law::Demiray.stress(m, f);
+            let cauchy = p * f.transpose();
+            let wanted = m.mu_pa * (b * strain).exp() * (s * s - 1.0 / s);
+            let found = cauchy.x_axis.x - cauchy.y_axis.y;
+            assert!(
+                (found - wanted).abs() < 1e-9 * wanted.abs(),
+                "{b} {s}: {found} for {wanted}"
+            );
+        }
+    }
+}
+
+#[test]
+fn the_exponential_is_continued_smoothly_and_cannot_overflow() {
+    let m = Moduli {
+        stiffening: 4.0,
+        ..lame()
+    };
+    let at = |s: f64| DMat3::from_diagonal(DVec3::new(s, s.powf(-0.5), s.powf(-0.5)));
+    // The stretch of the joint, by bisection.
+    let (mut lo, mut hi) = (1.0, 3.0);
+    for _ in 0..100 {
+        let mid = 0.5 * (lo + hi);
+        if 4.0 * demiray_strain(at(mid)) < GREATEST_EXPONENT {
+            lo = mid
+        } else {
+            hi = mid
+        }
+    }
+    let of = |s: f64| {
+        let t = Tangent::new(Law::Demiray, m, at(s), JacobianMode::Exact);
+        [
+            Law::Demiray.energy_density(m, at(s)),
+            size(Law::Demiray.stress(m, at(s))),
+            size(t.scale),
+        ]
+    };
+    let (a, b) = (of(lo - 1e-9), of(lo + 1e-9));
+    for (a, b) in a.iter().zip(b) {
+        assert!((a - b).abs() < 1e-6 * b.abs(), "{a} {b} at {lo}");
+    }
+    // Without the joint exp would overflow from a stretch of 13 on.
+    for s in [2.0, 13.5, 1e3, 1e6] {
+        for f in [
+            at(s),
+            at(1.0 / s),
+            at(s) * DMat3::from_diagonal(DVec3::new(1.0, 1.0, -1.0)),
+            DMat3::IDENTITY * s,
+            DMat3::ZERO,
+        ] {
+            let t = Tangent::new(Law::Demiray, m, f, JacobianMode::ExactPositive);
+            let p = Law::Demiray.stress(m, f);
+            assert!(
+                Law::Demiray.energy_density(m, f).is_finite()
+                    && p.is_finite()
+                    && t.scale.is_finite()
+                    && t.flip.is_finite()
+            );
         }
     }
 }
@@ -373,9 +512,17 @@ fn impossible_constants_are_refused_and_odd_ones_warned_of() {
         law: Law::Corotated,
         youngs_modulus_pa: e,
         poisson_ratio: nu,
+        stiffening: 4.0,
         density_g_mm3: rho,
         damping_s: r,
     };
+    let stiffening = |b: f64| Material {
+        law: Law::Demiray,
+        stiffening: b,
+        ..with(5000.0, 0.45, 1.05e-3, 0.02)
+    };
+    assert_eq!(stiffening(100.0).check("kidney").unwrap().len(), 1);
+    assert!(stiffening(8.0).check("kidney").is_ok_and(|w| w.is_empty()));
     let good = with(5000.0, 0.45, 1.05e-3, 0.02);
     assert!(good.check("kidney").is_ok_and(|w| w.is_empty()));
     for (bad, word) in [
@@ -387,6 +534,10 @@ fn impossible_constants_are_refused_and_odd_ones_warned_of() {
         (with(1e3, 0.4, 0.0, 0.0), "density_g_mm3"),
         (with(1e3, 0.4, 1e-3, -1.0), "damping_s"),
         (with(f64::INFINITY, 0.4, 1e-3, 0.0), "youngs_modulus_pa"),
+        (stiffening(0.0), "stiffening"),
+        (stiffening(-2.0), "stiffening"),
+        (stiffening(2e3), "stiffening"),
+        (stiffening(f64::NAN), "stiffening"),
     ] {
         let error = bad.check("kidney").unwrap_err().to_string();
         assert!(error.contains(word) && error.contains("kidney"), "{error}");

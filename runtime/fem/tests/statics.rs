@@ -6,12 +6,13 @@ use common::{bar, crooked, displacements, hold_where, tissue, traction, weightle
 use glam::{DMat3, DVec3};
 use palpate_fem::{Equilibrium, FemError, Law, Material, Preconditioner, Settings, TissueMesh};
 
-const LAWS: [Law; 5] = [
+const LAWS: [Law; 6] = [
     Law::Linear,
     Law::RotatedLinear,
     Law::Corotated,
     Law::NeoHookean,
     Law::StableNeoHookean,
+    Law::Demiray,
 ];
 
 fn soft(law: Law, nu: f64) -> Material {
@@ -19,6 +20,7 @@ fn soft(law: Law, nu: f64) -> Material {
         law,
         youngs_modulus_pa: 10_000.0,
         poisson_ratio: nu,
+        stiffening: 4.0,
         density_g_mm3: 1e-3,
         damping_s: 0.0,
     }
@@ -106,7 +108,7 @@ fn energy_of_shear() -> f64 {
         youngs_modulus_pa: 1000.0,
         ..soft(Law::Corotated, 0.45)
     }
-    .lame();
+    .moduli();
     let n = 200;
     (0..=n)
         .map(|k| {

@@ -37,6 +37,8 @@ struct Setup {
     every: u32,
     /// Law of all materials in place of their own.
     law: Option<Law>,
+    /// Stiffening of all materials in place of their own.
+    stiffening: Option<f64>,
     /// Whole insertions one after the other.
     rounds: u32,
 }
@@ -69,6 +71,7 @@ impl Default for Setup {
             cells: 13,
             every: 10,
             law: None,
+            stiffening: None,
             rounds: 1,
         }
     }
@@ -81,6 +84,7 @@ fn gel_block(setup: &Setup) -> Result<(Simulation, DVec3, DVec3), Box<dyn Error>
     let mesh = TissueMesh::new(&points, &tets, &vec![0; tets.len()])?;
     let mut material = TissueTable::default().get("gel")?.material.clone();
     material.law = setup.law.unwrap_or(material.law);
+    material.stiffening = setup.stiffening.unwrap_or(material.stiffening);
     let fixed: Vec<u32> = (0..mesh.node_slots() as u32)
         .filter(|&n| {
             let u = mesh.rest()[n as usize];
@@ -102,6 +106,7 @@ fn organ(path: &str, setup: &Setup) -> Result<(Simulation, DVec3, DVec3), Box<dy
     let (mut materials, _): (Vec<Material>, _) = TissueTable::default().materials(&package.info.regions)?;
     for m in &mut materials {
         m.law = setup.law.unwrap_or(m.law);
+        m.stiffening = setup.stiffening.unwrap_or(m.stiffening);
     }
     let (mut lo, mut hi) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
     for p in mesh.rest() {

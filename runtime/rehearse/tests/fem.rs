@@ -164,6 +164,26 @@ fn names_and_constants_are_checked_against_the_package() {
     );
     let told = d.ok("check soft.toml --package k.palpate");
     assert!(told.contains("softer than any tissue; was 10000 Pa"), "{told}");
+    // A stiffening that the law does not look at is told; with the law that does, it is in force for every material.
+    let stiffening = "[tissue.material.tumour]\nstiffening = 9";
+    d.write("idle.toml", &with(stiffening));
+    let told = d.ok("check idle.toml --package k.palpate");
+    assert!(told.contains("tumour: its stiffening has no effect"), "{told}");
+    d.write(
+        "demiray.toml",
+        &with(&format!(
+            "[tissue]\nlaw = 'demiray'\nstiffening = 6\n{stiffening}"
+        )),
+    );
+    let told = d.ok("run demiray.toml --package k.palpate -o demiray");
+    assert!(!told.contains("no effect"), "{told}");
+    let page = d.read("demiray/summary.html");
+    for line in [
+        "kidney: Demiray, E 5000 Pa, ν 0.45, stiffening 6,",
+        "tumour: Demiray, E 15000 Pa, ν 0.45, stiffening 9,",
+    ] {
+        assert!(page.contains(line), "{line}");
+    }
     d.write("printed.toml", &d.ok("scene --fem"));
     assert!(
         d.ok("check printed.toml --package k.palpate")

@@ -1,7 +1,7 @@
 //! Four tets at once: geometry, forces, renewal of Jacobians, blocks.
 
 use super::{Combination, Entry, LazyTest, Pass};
-use crate::material::{JacobianMode, Lame, Law, Tangent};
+use crate::material::{JacobianMode, Law, Moduli, Tangent};
 use crate::rotation::{Mat3x4, get_lane, rotation_x4, set_lane, svd};
 use glam::{DMat3, DVec3};
 use wide::f64x4;
@@ -16,6 +16,7 @@ pub(super) struct Pack {
     pub volume: f64x4,
     pub mu: f64x4,
     pub lambda: f64x4,
+    pub stiffening: f64x4,
     pub damping_s: f64x4,
     pub law: [Law; 4],
     /// Lanes with a tet.
@@ -71,6 +72,7 @@ impl Pack {
             volume: f64x4::ZERO,
             mu: f64x4::ZERO,
             lambda: f64x4::ZERO,
+            stiffening: f64x4::ONE,
             damping_s: f64x4::ZERO,
             law: [Law::Corotated; 4],
             live: 0,
@@ -181,10 +183,8 @@ impl Pack {
         let rate = self.gradient_of_rate(pass.v);
         let mut stress = self.rotated_hooke(&r, &strain);
         for lane in 0..4 {
-            if matches!(self.law[lane], Law::NeoHookean | Law::StableNeoHookean)
-                && self.live & (1 << lane) != 0
-            {
-                let lame = self.lame(lane);
+            if self.law[lane].is_of_invariants() && self.live & (1 << lane) != 0 {
+                let lame = self.moduli(lane);
                 set_lane(&mut stress, lane, self.law[lane].stress(lame, get_lane(&f, lane)));
             }
         }
@@ -270,10 +270,11 @@ impl Pack {
         f
     }
 
-    fn lame(&self, lane: usize) -> Lame {
-        Lame {
+    pub fn moduli(&self, lane: usize) -> Moduli {
+        Moduli {
             mu_pa: self.mu.to_array()[lane],
             lambda_pa: self.lambda.to_array()[lane],
+            stiffening: self.stiffening.to_array()[lane],
         }
     }
 
@@ -303,7 +304,7 @@ impl Pack {
             }
             if self.explicit & (1 << lane) != 0 {
                 let one = get_lane(f, lane);
-                let mut tangent = Tangent::new(self.law[lane], self.lame(lane), one, pass.mode);
+                let mut tangent = Tangent::new(self.law[lane], self.moduli(lane), one, pass.mode);
                 if pass.mode == JacobianMode::Frozen {
                     tangent = tangent.positive();
                 }

@@ -25,7 +25,7 @@ fn plain(
         {
             forces[*c as usize] += force;
         }
-        let mut stiff = Tangent::new(material.law, material.lame(), f, pass.mode);
+        let mut stiff = Tangent::new(material.law, material.moduli(), f, pass.mode);
         if pass.mode == JacobianMode::Frozen {
             stiff = stiff.positive();
         }
@@ -34,7 +34,7 @@ fn plain(
         } else {
             Law::Corotated
         };
-        let mut viscous = Tangent::new(viscous_law, material.lame(), f, JacobianMode::Frozen);
+        let mut viscous = Tangent::new(viscous_law, material.moduli(), f, JacobianMode::Frozen);
         let turn = damping_rotation(material.law, f);
         (viscous.u, viscous.v) = (turn, DMat3::IDENTITY);
         for i in 0..4 {
@@ -70,16 +70,19 @@ fn noise(seed: &mut u64) -> f64 {
     (*seed >> 11) as f64 / 2f64.powi(53) - 0.5
 }
 
-/// A block of 3 × 2 × 2 cubes, tets of five laws in it.
+/// A block of 3 × 2 × 2 cubes, tets of six laws in it.
 fn body() -> (TissueMesh, Vec<Material>) {
     let TetBlock { points, tets } = tet_block([0.0; 3], [3.0, 2.0, 2.0], [3, 2, 2]);
-    let regions: Vec<u16> = (0..tets.len()).map(|t| (t * t % 5) as u16).collect();
+    let regions: Vec<u16> = (0..tets.len())
+        .map(|t| ((t * t % 5 + t % 2) % 6) as u16)
+        .collect();
     let materials = [
         Law::Linear,
         Law::RotatedLinear,
         Law::Corotated,
         Law::NeoHookean,
         Law::StableNeoHookean,
+        Law::Demiray,
     ]
     .into_iter()
     .enumerate()
@@ -87,6 +90,7 @@ fn body() -> (TissueMesh, Vec<Material>) {
         law,
         youngs_modulus_pa: 1000.0 * (k + 1) as f64,
         poisson_ratio: 0.4 - 0.05 * k as f64,
+        stiffening: 1.0,
         density_g_mm3: 1e-3,
         damping_s: 0.01 * k as f64,
     })

@@ -150,6 +150,18 @@ fn wrong_keys_units_values_and_names_are_told_with_their_line() {
             "s.toml:3: material kidney: youngs_modulus_pa is -1, expected a modulus above 0 Pa",
         ),
         (
+            "model = 'fem'\n[tissue]\nlaw = 'demiray'\n[tissue.material.kidney]\nyoungs_modulus_pa = 5000\nstiffening = 0\n".into(),
+            "s.toml:6: material kidney: stiffening is 0, expected above 0, at most 1000",
+        ),
+        (
+            "model = 'fem'\n[tissue]\nlaw = 'fung'\n".into(),
+            "s.toml:3: found \"fung\", expected linear, rotated_linear, corotated, neo_hookean, stable_neo_hookean, demiray",
+        ),
+        (
+            "model = 'fem'\n[tissue]\nlaw = 'demiray'\nstiffening = -4\n".into(),
+            "s.toml:4: stiffening is -4, expected above 0, at most 1000",
+        ),
+        (
             "model = 'fem'\n[tissue.solver]\ndt_s = 0\n".into(),
             "s.toml:3: settings: dt_s is 0, expected seconds from 1e-7 to 10",
         ),

@@ -30,6 +30,9 @@ pub struct TissueSettings {
     /// about 10 mm, under which the corotated law turns tets over.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub law: Option<Law>,
+    /// How soon the law `demiray` stiffens, of every material that says nothing about it. Absent: as the tissue's table has it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stiffening: Option<f64>,
     /// Materials by the name of the organ or structure. One that is not named here takes the tissue of its name; a structure
     /// whose name is no tissue's takes the organ's material, with a warning.
     pub material: BTreeMap<String, MaterialChoice>,
@@ -55,6 +58,9 @@ pub struct MaterialChoice {
     /// Poisson's ratio, 0 to below 0.5.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub poisson_ratio: Option<f64>,
+    /// How soon the law `demiray` stiffens: its b, above 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stiffening: Option<f64>,
     /// Density, g/mm³.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub density_g_mm3: Option<f64>,
@@ -130,9 +136,15 @@ impl TissueSettings {
                 law: choice.law.or(self.law).unwrap_or(base.law),
                 youngs_modulus_pa: choice.youngs_modulus_pa.unwrap_or(base.youngs_modulus_pa),
                 poisson_ratio: choice.poisson_ratio.unwrap_or(base.poisson_ratio),
+                stiffening: choice.stiffening.or(self.stiffening).unwrap_or(base.stiffening),
                 density_g_mm3: choice.density_g_mm3.unwrap_or(base.density_g_mm3),
                 damping_s: choice.damping_s.unwrap_or(base.damping_s),
             };
+            if material.law != Law::Demiray && choice.stiffening.or(self.stiffening).is_some() {
+                warnings.push(format!(
+                    "{region}: its stiffening has no effect; of the laws only \"demiray\" stiffens"
+                ));
+            }
             match material.check(region) {
                 Ok(notes) => warnings.extend(notes),
                 Err(e) => {

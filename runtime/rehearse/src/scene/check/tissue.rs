@@ -86,6 +86,15 @@ impl SceneSource {
                 ),
             ));
         }
+        if let Some(b) = tissue.stiffening {
+            self.number(
+                "tissue.stiffening",
+                b,
+                f64::MIN_POSITIVE,
+                1e3,
+                "above 0, at most 1000",
+            )?;
+        }
         // Constants that are wrong whatever the package.
         let named: Vec<String> = tissue.material.keys().cloned().collect();
         for name in &named {

@@ -523,8 +523,12 @@ impl TissueEngine {
             .iter()
             .zip(self.tissue().materials())
             .map(|(name, m)| {
+                let stiffening = match m.law {
+                    palpate_fem::Law::Demiray => format!(", stiffening {}", m.stiffening),
+                    _ => String::new(),
+                };
                 format!(
-                    "{name}: {:?}, E {:.0} Pa, ν {}, {} g/mm³, damping {} s",
+                    "{name}: {:?}, E {:.0} Pa, ν {}{stiffening}, {} g/mm³, damping {} s",
                     m.law, m.youngs_modulus_pa, m.poisson_ratio, m.density_g_mm3, m.damping_s
                 )
             })
