@@ -44,6 +44,8 @@ struct Setup {
     bottom: bool,
     /// Time for the half turn.
     turn_s: f64,
+    /// Whether the needle comes out again: paths need only the way in.
+    withdraw: bool,
     /// Names of the runs wanted; empty: all.
     runs: Vec<String>,
 }
@@ -62,7 +64,7 @@ impl Default for Setup {
             },
             needle: NeedleParams::default(),
             friction: NeedleFriction {
-                bevel_degrees: 6.1,
+                bevel_degrees: 5.9,
                 ..NeedleFriction::default()
             },
             bicycle: BicycleParams::default(),
@@ -75,6 +77,7 @@ impl Default for Setup {
             entry_a_mm: -25.0,
             bottom: false,
             turn_s: 0.5,
+            withdraw: true,
             runs: Vec::new(),
         }
     }
@@ -239,7 +242,8 @@ fn experiment(
     };
     let mut times = Vec::new();
     let mut since_puncture: Option<usize> = None;
-    for step in 0..2 * inwards + turning {
+    let outwards = if setup.withdraw { inwards } else { 0 };
+    for step in 0..inwards + turning + outwards {
         let half = inwards / 2;
         let mut m = BaseMotion::default();
         if step < half || (half + turning..inwards + turning).contains(&step) {

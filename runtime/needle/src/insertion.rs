@@ -5,6 +5,7 @@ mod advance;
 mod ahead;
 mod bevel;
 mod chain;
+mod foundation;
 mod pace;
 mod params;
 mod report;
@@ -34,6 +35,8 @@ pub struct Needle {
     /// Nodes of the rod past the chain: the tip, while a deep dent in the surface that it has pierced goes back.
     beyond: usize,
     track: Option<Track>,
+    /// Where its tip came through the material; `None` before it has cut.
+    course: Option<bevel::Course>,
     states: Vec<FrictionState>,
     layers: Vec<Layer>,
     /// Membranes that the tip lay in after the last part.
@@ -214,6 +217,7 @@ impl Insertion {
         self.needles.push(Needle {
             within: vec![false; layers.len()],
             track: None,
+            course: None,
             beyond: 0,
             states: vec![FrictionState::Static; chain.len()],
             last_membrane: None,

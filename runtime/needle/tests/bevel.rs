@@ -75,7 +75,7 @@ impl Bevel {
 
 const BEVEL: Bevel = Bevel {
     edge: EDGE,
-    law: CutLaw::Mean,
+    law: CutLaw::Bicycle,
     youngs_modulus_pa: 200_000.0,
     degrees: 3.0,
     speed: 20.0,
@@ -132,7 +132,7 @@ fn the_path_of_a_bevel_does_not_depend_on_the_mesh() {
         .path();
         (at_depth(&p, 70.0) - p[0], radius(&part(&p, 20.0, 70.0)).0)
     };
-    let ((fine, r_fine), (coarse, r_coarse)) = (aside(5.0, CutLaw::Mean), aside(10.0, CutLaw::Mean));
+    let ((fine, r_fine), (coarse, r_coarse)) = (aside(5.0, CutLaw::Bicycle), aside(10.0, CutLaw::Bicycle));
     let ((fine_tet, _), (coarse_tet, _)) = (aside(5.0, CutLaw::Tet), aside(10.0, CutLaw::Tet));
     println!("{fine} {r_fine} {coarse} {r_coarse} tet {fine_tet} {coarse_tet}");
     let apart = |a: DVec3, b: DVec3| (a.distance(b), 0.5 * (a.y.hypot(a.z) + b.y.hypot(b.z)));

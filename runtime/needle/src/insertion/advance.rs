@@ -21,8 +21,6 @@ pub(super) struct Solved {
     needle: Vec<Vec<DVec3>>,
     /// States of all shared nodes.
     pub states: Vec<FrictionState>,
-    /// Force of the tissue on each shared node, µN, in the order of `states`.
-    pub forces: Vec<DVec3>,
     /// Slip of each needle's tip, mm.
     pub slip: Vec<f64>,
     /// Slip of every shared node, mm.
@@ -385,7 +383,6 @@ impl Insertion {
                 met,
                 a: Vec::new(),
                 needle: Vec::new(),
-                forces: Vec::new(),
                 states: outcome.states,
             };
             for (k, n) in coupled.nodes.iter().enumerate() {
@@ -412,7 +409,6 @@ impl Insertion {
                 states = solved.states;
                 continue;
             }
-            solved.forces = forces;
             report.consistent &= outcome.consistent;
             report.contacts_open = open;
             break solved;

@@ -90,7 +90,6 @@ impl Insertion {
             };
             let part = Part {
                 before: &before[k],
-                forces: &solved.forces[end - n.chain.len()..end],
                 slip: solved.slip[k],
             };
             goals.push(self.goal(k, &part, state)?);
@@ -164,11 +163,11 @@ impl Insertion {
             });
         }
         let mut state = self.state_in(tet, weights);
-        let mean = match self.params.cut_law {
-            CutLaw::Mean => self.cut_place(n, part, slot, state.rest),
+        let steered = match self.params.cut_law {
+            CutLaw::Bicycle => self.cut_place(n, slot, state.rest),
             CutLaw::Tet => None,
         };
-        if let Some(to) = mean {
+        if let Some(to) = steered {
             state.rest = to;
         } else {
             let bevel = part.slip.max(0.0) * n.friction.bevel_degrees.to_radians().tan();
@@ -360,6 +359,7 @@ impl Insertion {
         let was = n.chain.len();
         let mut done = None;
         let touches = matches!(goal, Goal::Touch { .. });
+        let (cuts, retreats) = (matches!(goal, Goal::Advance(_)), matches!(goal, Goal::Retract(_)));
         match goal {
             Goal::Stay => {}
             Goal::Touch { from } => {
@@ -408,6 +408,7 @@ impl Insertion {
                     track.leave(tissue)?;
                 }
                 n.chain.clear();
+                n.course = None;
                 n.beyond = 0;
                 n.states.clear();
                 n.last_membrane = None;
@@ -424,6 +425,11 @@ impl Insertion {
             if let Some(track) = &n.track {
                 n.chain = track.nodes().to_vec();
             }
+        }
+        if cuts {
+            self.note_cut(k);
+        } else if retreats {
+            self.note_retreat(k);
         }
         if done.is_some() || touches {
             self.note_membranes(k, report);

@@ -57,7 +57,7 @@ pub struct NeedleFriction {
     /// Regions that no needle enters: bone.
     pub rigid_regions: Vec<u16>,
     /// Bevel angle ψ, degrees: how far aside the tip goes in the tissue's material for its advance (tan ψ). It is a parameter of the model,
-    /// fitted to the curvature of the path, about tan ψ over the length in which the needle bends, not the angle to which the tip is ground.
+    /// fitted to the curvature of the path, tan ψ over the length in which the needle bends, not the angle to which the tip is ground.
     /// Default 0: a symmetric tip.
     pub bevel_degrees: f64,
 }
@@ -148,11 +148,11 @@ pub enum Linear {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum CutLaw {
-    /// In the needle's, as the tissue around the tip has it on the average over the length in which the needle bends, corrected for what the mesh
-    /// holds more stiffly than tissue does; the bevel adds tan ψ of the way cut. For tets
-    /// shorter than that length.
+    /// Along an axis that follows the tip's course in the material as the rear wheel of a bicycle follows the front one (Webster et al. 2006), the
+    /// length in which the needle bends behind it, and is turned by what else bends the needle, by beam theory; the bevel adds tan ψ
+    /// aside. No size of tets is in it.
     #[default]
-    Mean,
+    Bicycle,
     /// The paper's (Chentanez et al. 2009, §3.4.1 and §3.5): to the world tip's place in the one tet that holds it, with tan ψ of the slip aside. A
     /// bevel angle then belongs to a size of the tets: the finer they are, the straighter the path.
     Tet,
