@@ -157,6 +157,30 @@ impl Solid {
         }
     }
 
+    /// Depth by one face of the shape.
+    pub(crate) fn depth_by(&self, x: DVec3, face: u8) -> f64 {
+        match self.shape {
+            Shape::Cuboid { half_extents_mm: h } => {
+                let local = self.place.rotation.transpose() * (x - self.place.centre_mm);
+                h[face as usize / 2] - if face & 1 == 0 { 1.0 } else { -1.0 } * local[face as usize / 2]
+            }
+            _ => self.touch(x, None).depth,
+        }
+    }
+
+    /// The face by which a point comes in that is at `x` at the start of the step: the one that it lies farthest before.
+    pub(crate) fn entered_by(&self, x: DVec3) -> u8 {
+        let Shape::Cuboid { half_extents_mm: h } = self.shape else {
+            return 0;
+        };
+        let local = self.before.rotation.transpose() * (x - self.before.centre_mm);
+        let of = |k: &u8| {
+            let (axis, sign) = (*k as usize / 2, if k & 1 == 0 { 1.0 } else { -1.0 });
+            h[axis] - sign * local[axis]
+        };
+        (0..6).min_by(|a, b| of(a).total_cmp(&of(b))).unwrap_or(0)
+    }
+
     /// Velocity of the solid's point at `x`, over a step of `dt_s`.
     pub(crate) fn velocity(&self, x: DVec3, dt_s: f64) -> DVec3 {
         self.velocity_from(self.before, x, dt_s)

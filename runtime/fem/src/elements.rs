@@ -25,6 +25,9 @@ pub enum LazyTest {
     /// the blocks, and it is unique where U and V are not.
     #[default]
     Rotation,
+    /// What force the stale Jacobian gets wrong in the coming step, µN: e = max|ΔR|·max|Ḟ|·Δt·max|N|·max(λ, α), with ΔF as above. A tet that
+    /// has turned but stands still needs no new Jacobian; one that moves on does, for each step leaves it a residual that slows it down.
+    Force,
     /// As printed, e = (max|ΔU|·max|ΔV|)²·max|N|·max|B|·max(λ, α). It is zero for any rigid turn, so that such tets are never
     /// renewed; for comparison. Signs of U and V follow the last ones.
     Printed,
@@ -49,8 +52,10 @@ pub(crate) struct Pass<'a> {
     pub renew: bool,
     pub mode: JacobianMode,
     pub test: LazyTest,
-    /// Least e at which a Jacobian is renewed, µN/mm; below 0 all are.
+    /// Least e at which a Jacobian is renewed, µN/mm (µN for [`LazyTest::Force`]); below 0 all are.
     pub threshold: f64,
+    /// Length of the step, s, for [`LazyTest::Force`].
+    pub dt: f64,
 }
 
 /// A tet's entry in a matrix row: the places of its four columns.
@@ -147,6 +152,7 @@ impl Elements {
             .fold(0.0, f64::max);
         let reach = largest * largest * 3.0 * element.volume_mm3 * lambda_pa * material.damping_s.max(1.0);
         set(&mut pack.reach, lane, reach);
+        set(&mut pack.largest, lane, largest);
         pack.stale |= bit;
         self.set_explicit(mesh.tet_slots(), slot);
     }
@@ -240,6 +246,11 @@ impl Elements {
                 .sum();
             self.dirty[n as usize] = true;
         }
+    }
+
+    /// Has a node's row summed anew by the next assembly: something was added to it.
+    pub fn soil(&mut self, node: usize) {
+        self.dirty[node] = true;
     }
 
     /// Makes the next pass renew everything.

@@ -182,6 +182,7 @@ impl Simulation {
         }
         self.precondition = None;
         self.contacts.clear();
+        self.springs.active.clear();
         self.elements.invalidate();
         Ok(report)
     }
@@ -196,6 +197,7 @@ impl Simulation {
             mode,
             test: self.settings.lazy_test,
             threshold: -1.0,
+            dt: 0.0,
         };
         self.elements.pass(&pass, forces);
     }

@@ -28,7 +28,7 @@ pub struct Settings {
     pub jacobian: JacobianMode,
     /// Which change of a tet renews its Jacobian.
     pub lazy_test: LazyTest,
-    /// Threshold e of that change, µN/mm (0.001 N/m); below 0 every tet is renewed in every step. −1.
+    /// Threshold e of that change, µN/mm (0.001 N/m), of the test `force` µN; below 0 every tet is renewed in every step. −1.
     pub lazy_threshold_un_mm: f64,
     /// Acceleration of gravity, mm/s²: to the patient's back (RAS −y), for a patient who lies on it.
     pub gravity_mm_s2: [f64; 3],
@@ -41,6 +41,9 @@ pub struct Settings {
     pub contact_passes: u32,
     /// A solid pushes a node by this much a step at most, mm, so that one placed inside the tissue does not tear it. 2.
     pub contact_push_mm: f64,
+    /// Solids but planes are met by points of boundary triangles no farther apart than this, mm, beside their nodes; 0 for nodes alone. 1:
+    /// what a rim's dent may leave between two points is some tenths of it.
+    pub contact_spacing_mm: f64,
     /// Relative speed below which Coulomb friction fades to zero, mm/s. 1.
     pub friction_speed_mm_s: f64,
     /// Worker threads; 0 for the pool of the caller. The results do not depend on it.
@@ -67,6 +70,7 @@ impl Default for Settings {
             most_halvings: 4,
             contact_passes: 4,
             contact_push_mm: 2.0,
+            contact_spacing_mm: 1.0,
             friction_speed_mm_s: 1.0,
             threads: 0,
         }
@@ -158,6 +162,13 @@ impl Settings {
             1.0,
             100.0,
             "1 to 100",
+        )?;
+        within(
+            "contact_spacing_mm",
+            self.contact_spacing_mm,
+            0.0,
+            1e3,
+            "0 (nodes alone) to 1000 mm",
         )?;
         within("contact_push_mm", self.contact_push_mm, 1e-6, 1e3, "above 0 mm")?;
         within(

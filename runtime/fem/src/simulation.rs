@@ -2,6 +2,7 @@ use crate::contact::{Place, Solid, check_place};
 use crate::elements::{Combination, Elements};
 use crate::mesh::fault;
 use crate::precondition::Precondition;
+use crate::step::Points;
 use crate::{BlockMatrix, FemError, Filter, Material, Settings, SolveReport, TissueMesh};
 use glam::{DMat3, DVec3};
 use std::sync::Arc;
@@ -90,6 +91,43 @@ pub(crate) struct Contact {
     pub push_un: f64,
 }
 
+/// A contact of a point between nodes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Spring {
+    pub point: u32,
+    pub solid: u32,
+    pub face: u8,
+    /// Force of the last step, µN.
+    pub push_un: f64,
+}
+
+/// A spring in the system at hand: force push − coefficient·(normal·a⁺) along the normal.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct SpringState {
+    pub spring: Spring,
+    pub normal: DVec3,
+    /// µN·s²/mm.
+    pub coefficient: f64,
+    /// µN.
+    pub push: f64,
+}
+
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Springs {
+    /// By point.
+    pub active: Vec<Spring>,
+    /// Those in the matrix.
+    pub applied: Vec<SpringState>,
+    /// Points that solids may reach in this step, ascending.
+    pub near: Vec<u32>,
+    /// Forces of the last solution, µN, by point.
+    pub pushes: Vec<(u32, f64)>,
+    /// Points that lie at a solid after the last step, pressed or not, and the solid.
+    pub touching: Vec<(u32, u32)>,
+    /// How often points were made anew: numbers of points before that mean nothing.
+    pub made: u32,
+}
+
 /// Tissue with its state, constraints and solids; [`Simulation::step`] moves it on by one time step.
 ///
 /// Nodes and tets are named by their slots in [`Simulation::mesh`].
@@ -107,6 +145,9 @@ pub struct Simulation {
     pub(crate) holds: Vec<Option<Hold>>,
     pub(crate) solids: Vec<Solid>,
     pub(crate) contacts: Vec<Contact>,
+    /// Points of the boundary between nodes; `None` when the mesh has changed.
+    pub(crate) points: Option<Points>,
+    pub(crate) springs: Springs,
     /// Nodes on the boundary, ascending; `None` when the mesh has changed.
     pub(crate) surface: Option<Vec<u32>>,
     pub(crate) precondition: Option<Precondition>,
@@ -156,6 +197,8 @@ impl Simulation {
             holds: vec![None; n],
             solids: Vec::new(),
             contacts: Vec::new(),
+            points: None,
+            springs: Springs::default(),
             surface: None,
             precondition: None,
             first_iterations: None,
@@ -467,14 +510,14 @@ impl Simulation {
 
     /// Makes changes of nodes and tets that leave the set of boundary nodes as it is, so that it need not be found anew for contacts.
     pub fn edit_inside<R>(&mut self, changes: impl FnOnce(&mut Self) -> R) -> R {
-        let surface = self.surface.take();
+        let outside = (self.surface.take(), self.points.take());
         let result = changes(self);
-        self.surface = surface;
+        (self.surface, self.points) = outside;
         result
     }
 
     fn edited(&mut self) {
-        self.surface = None;
+        (self.surface, self.points) = (None, None);
         self.edits += 1;
         // Zero entries of edges that are gone cost time: drop them once in a while.
         if self.edits >= 4000 {

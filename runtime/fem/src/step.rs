@@ -10,10 +10,12 @@ use std::time::Instant;
 
 mod contacts;
 mod parts;
+mod points;
 
 pub use contacts::ContactForce;
 use contacts::Drag;
 pub use parts::{Goals, SavedState};
+pub(crate) use points::Points;
 
 impl Simulation {
     /// Moves the tissue on by one time step.
@@ -35,7 +37,7 @@ impl Simulation {
             self.x.clone(),
             self.v.clone(),
             self.a.clone(),
-            self.contacts.clone(),
+            (self.contacts.clone(), self.springs.active.clone()),
         );
         let goals: Vec<Place> = self.solids.iter().map(|s| s.place).collect();
         let holds = self.holds.clone();
@@ -44,7 +46,7 @@ impl Simulation {
         if result.is_ok() {
             self.steps += 1;
         } else {
-            (self.x, self.v, self.a, self.contacts) = saved;
+            (self.x, self.v, self.a, (self.contacts, self.springs.active)) = saved;
             for (s, goal) in self.solids.iter_mut().zip(goals) {
                 s.place = goal;
             }
@@ -56,11 +58,11 @@ impl Simulation {
 
     /// A step of `dt`, or two halves of it where one would deform a tet too much.
     fn advance_by(&mut self, dt: f64, halvings: u32) -> Result<StepReport, FemError> {
-        let contacts = self.contacts.clone();
+        let contacts = (self.contacts.clone(), self.springs.active.clone());
         self.dt = dt;
         let (a, mut report) = self.solve_step();
         if halvings < self.settings.most_halvings && self.change(&a) > self.settings.halving_strain {
-            self.contacts = contacts;
+            (self.contacts, self.springs.active) = contacts;
             let goals: Vec<Place> = self.solids.iter().map(|s| s.place).collect();
             let targets: Vec<Option<DVec3>> = self.holds.iter().map(|h| h.map(|h| h.position)).collect();
             for s in &mut self.solids {
@@ -86,7 +88,7 @@ impl Simulation {
         let last = self.change(&a) > self.settings.halving_strain && self.settings.most_halvings > 0;
         if last {
             // Too violent for one Newton iteration of the trapezoid rule at any step: implicit Euler takes the energy out.
-            self.contacts = contacts;
+            (self.contacts, self.springs.active) = contacts;
             self.newmark = [1.0, 1.0];
             let (a, again) = self.solve_step();
             report.add(again);
@@ -147,7 +149,7 @@ impl Simulation {
                 passes -= 1;
                 continue;
             }
-            report.contacts_open = self.correct_contacts(&a);
+            report.contacts_open = self.correct_contacts(&a) | self.correct_springs(&a);
             if !report.contacts_open {
                 break;
             }
@@ -179,6 +181,7 @@ impl Simulation {
             mode,
             test: s.lazy_test,
             threshold: s.lazy_threshold_un_mm,
+            dt: self.dt,
         };
         let combination = self.dynamic_combination();
         let mut rhs = std::mem::take(&mut self.rhs);
@@ -189,6 +192,7 @@ impl Simulation {
         }
         self.rhs = rhs;
         self.find_contacts();
+        self.find_springs();
         StepReport {
             renewed_share: self.elements.renewed_share,
             assembly_time_s: start.elapsed().as_secs_f64(),
@@ -202,8 +206,9 @@ impl Simulation {
     }
 
     /// Puts the held parts of this step's accelerations into `a` and returns the directions left free: holds, contacts with solids
-    /// (friction is not in it), slots without tets.
+    /// (friction is not in it), slots without tets. Contacts between nodes go into matrix and right-hand side.
     pub fn constrain_step(&mut self, a: &mut [DVec3]) -> Filter {
+        self.apply_springs();
         let mut constraints = vec![None; a.len()];
         self.constrain(&mut constraints);
         for (a, c) in a.iter_mut().zip(&constraints) {
@@ -218,7 +223,7 @@ impl Simulation {
     /// changed the constraints, so that [`Simulation::constrain_step`] and the solve should be repeated.
     pub fn correct_step(&mut self, a: &[DVec3]) -> bool {
         self.react(a);
-        self.correct_contacts(a)
+        self.correct_contacts(a) | self.correct_springs(a)
     }
 
     /// Reactions A·a − b.
@@ -298,6 +303,7 @@ impl Simulation {
             (self.x[n], self.v[n], self.a[n]) = (x, v, a);
         }
         self.settle_contacts(dt);
+        self.settle_springs();
         Ok(())
     }
 
@@ -325,11 +331,13 @@ impl Simulation {
                 mode: s.jacobian,
                 test: s.lazy_test,
                 threshold: s.lazy_threshold_un_mm,
+                dt: self.dt,
             };
             self.elements.pass(&pass, &mut forces);
             let mut residual: Vec<DVec3> = (0..n)
                 .map(|i| forces[i] + self.external(i) - a[i] * self.elements.mass[i])
                 .collect();
+            self.spring_forces(a, &mut residual);
             for d in drags {
                 residual[d.node] -= d.drag * (v[d.node] - d.solid_velocity);
             }
@@ -343,6 +351,7 @@ impl Simulation {
             report.newton += 1;
             self.elements
                 .assemble(self.dynamic_combination(), &mut self.matrix);
+            self.stiffen_by_springs();
             let mut change = vec![DVec3::ZERO; n];
             let least = 0.1 * s.newton_tolerance / s.solver_tolerance * scale;
             let undo = self.add_drags(drags);

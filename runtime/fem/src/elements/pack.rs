@@ -27,6 +27,8 @@ pub(super) struct Pack {
     pub explicit: u8,
     /// max|N|·max|B|·max(λ, α) of Eq. 12, µN/mm.
     pub reach: f64x4,
+    /// max|B|, 1/mm.
+    pub largest: f64x4,
     /// R in the Jacobian now.
     pub used: Mat3x4,
     /// R·gᵢ in the Jacobian now.
@@ -79,6 +81,7 @@ impl Pack {
             linear: 0,
             explicit: 0,
             reach: f64x4::ZERO,
+            largest: f64x4::ONE,
             used: IDENTITY,
             turned: [[f64x4::ZERO; 3]; 4],
             stale: 0,
@@ -286,6 +289,7 @@ impl Pack {
         } else if renew != self.live {
             renew |= match pass.test {
                 LazyTest::Rotation => self.rotation_test(pass, f, r, extra, first),
+                LazyTest::Force => self.force_test(pass, f, r, extra, first),
                 LazyTest::Printed => self.printed_test(pass, f, extra, first),
             } & self.live;
         }
@@ -333,6 +337,24 @@ impl Pack {
     }
 
     fn rotation_test(&self, pass: &Pass, f: &Mat3x4, r: &Mat3x4, extra: &Extra, first: usize) -> u8 {
+        (self.change(f, r, extra, first) * self.reach)
+            .simd_gt(f64x4::splat(pass.threshold))
+            .to_bitmask() as u8
+    }
+
+    fn force_test(&self, pass: &Pass, f: &Mat3x4, r: &Mat3x4, extra: &Extra, first: usize) -> u8 {
+        let mut rate = f64x4::ZERO;
+        for x in self.gradient_of_rate(pass.v).iter().flatten() {
+            rate = rate.max(x.abs());
+        }
+        let force = self.change(f, r, extra, first) * rate * f64x4::splat(pass.dt) * self.reach;
+        force
+            .simd_gt(self.largest * f64x4::splat(pass.threshold))
+            .to_bitmask() as u8
+    }
+
+    /// Largest change of an entry of R since the last renewal, or of F where the Jacobian depends on more.
+    fn change(&self, f: &Mat3x4, r: &Mat3x4, extra: &Extra, first: usize) -> f64x4 {
         let mut change = f64x4::ZERO;
         for i in 0..3 {
             for j in 0..3 {
@@ -345,9 +367,7 @@ impl Pack {
             let now = change.to_array()[lane];
             set(&mut change, lane, most.max(now));
         }
-        (change * self.reach)
-            .simd_gt(f64x4::splat(pass.threshold))
-            .to_bitmask() as u8
+        change
     }
 
     fn printed_test(&self, pass: &Pass, f: &Mat3x4, extra: &Extra, first: usize) -> u8 {

@@ -136,6 +136,7 @@ fn check(
         mode,
         test: LazyTest::Rotation,
         threshold: -1.0,
+        dt: 0.02,
     };
     let c = Combination {
         mass: 1.0,
@@ -255,7 +256,11 @@ fn lazy_tests_see_a_rigid_turn_or_miss_it() {
     for m in &mut materials {
         m.law = Law::Corotated;
     }
-    for (test, seen) in [(LazyTest::Rotation, true), (LazyTest::Printed, false)] {
+    for (test, seen) in [
+        (LazyTest::Rotation, true),
+        (LazyTest::Force, true),
+        (LazyTest::Printed, false),
+    ] {
         let mut matrix = BlockMatrix::new(mesh.node_slots());
         let mut e = Elements::new(&mesh, &materials, &mut matrix);
         let s = state(&mesh, 9, 0.2);
@@ -273,11 +278,29 @@ fn lazy_tests_see_a_rigid_turn_or_miss_it() {
                 mode: JacobianMode::Frozen,
                 test,
                 threshold: 1e-6,
+                dt: 0.02,
             };
             e.pass(&pass, &mut forces);
             shares.push(e.renewed_share);
         }
         assert_eq!(shares[..2], [1.0, 0.0], "{test:?}");
         assert_eq!(shares[2] > 0.99, seen, "{test:?} {shares:?}");
+        if test == LazyTest::Force {
+            // Turned, but at rest: no force is wrong.
+            let still = vec![DVec3::ZERO; s.v.len()];
+            let pass = Pass {
+                x: &s.x,
+                v: &still,
+                a: &s.a,
+                predict: None,
+                renew: true,
+                mode: JacobianMode::Frozen,
+                test,
+                threshold: 1e-6,
+                dt: 0.02,
+            };
+            e.pass(&pass, &mut forces);
+            assert_eq!(e.renewed_share, 0.0);
+        }
     }
 }

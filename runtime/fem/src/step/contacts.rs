@@ -1,7 +1,8 @@
 //! Which nodes touch which solid in a step, and what that does to the system.
 
-use crate::Simulation;
+use crate::contact::Shape;
 use crate::simulation::{Constraint, Contact};
+use crate::{Simulation, Solid};
 use glam::{DMat3, DVec3};
 
 /// A contact is let go where its solid would have to pull harder than this, µN.
@@ -25,6 +26,8 @@ pub struct ContactForce {
     pub node: u32,
     /// Index of the solid.
     pub solid: usize,
+    /// How much of the surface around the node lies at the solid, 0 to 1, by the points between nodes; 1 where there are none.
+    pub share: f64,
     /// Out of the solid at the node, unit.
     pub normal: DVec3,
     /// Along the normal, µN; at least 0.
@@ -34,23 +37,92 @@ pub struct ContactForce {
 }
 
 impl Simulation {
-    /// Nodes that solids touch after the last step, ascending, with the force on each.
-    pub fn contact_forces(&self) -> impl Iterator<Item = ContactForce> {
-        self.contacts.iter().map(|c| {
-            let solid = &self.solids[c.solid as usize];
-            let n = c.node as usize;
-            let normal = solid.touch(self.x[n], Some(c.face)).normal;
-            let slide = self.v[n] - solid.moved_velocity(self.x[n]);
+    /// Nodes that solids push after the last step, by solid and ascending, with the force on each; what a solid does between nodes is
+    /// divided among those of the triangle.
+    pub fn contact_forces(&self) -> Vec<ContactForce> {
+        struct Part {
+            node: u32,
+            solid: usize,
+            share: f64,
+            push: DVec3,
+            friction: DVec3,
+        }
+        let friction = |solid: &Solid, normal: DVec3, push: f64, x: DVec3, v: DVec3| {
+            let slide = v - solid.moved_velocity(x);
             let slide = slide - normal * normal.dot(slide);
             let least = self.settings.friction_speed_mm_s;
-            ContactForce {
+            slide * (-solid.friction * push / slide.length().max(least))
+        };
+        let weight = |node: u32| {
+            let all = self.points.as_ref().map(|p| p.weight[node as usize]);
+            all.filter(|w| *w > 0.0)
+        };
+        let mut parts: Vec<Part> = Vec::new();
+        for c in &self.contacts {
+            let (solid, n) = (&self.solids[c.solid as usize], c.node as usize);
+            let normal = solid.touch(self.x[n], Some(c.face)).normal;
+            parts.push(Part {
                 node: c.node,
                 solid: c.solid as usize,
-                normal,
-                push_un: c.push_un,
-                friction_un: slide * (-solid.friction * c.push_un / slide.length().max(least)),
+                share: match self.solids[c.solid as usize].shape {
+                    Shape::Plane => 1.0,
+                    _ => weight(c.node).map_or(1.0, |_| 0.0),
+                },
+                push: normal * c.push_un,
+                friction: friction(solid, normal, c.push_un, self.x[n], self.v[n]),
+            });
+        }
+        for s in &self.springs.active {
+            let (solid, p) = (&self.solids[s.solid as usize], self.point(s));
+            let (x, v) = (p.of(&self.x), p.of(&self.v));
+            let normal = solid.touch(x, Some(s.face)).normal;
+            let along = friction(solid, normal, s.push_un, x, v);
+            for (&node, &w) in p.nodes.iter().zip(&p.weights).filter(|e| *e.1 != 0.0) {
+                parts.push(Part {
+                    node,
+                    solid: s.solid as usize,
+                    share: 0.0,
+                    push: normal * (s.push_un * w),
+                    friction: along * w,
+                });
             }
-        })
+        }
+        // Area of the nodes that feel anything.
+        parts.sort_by_key(|e| (e.solid, e.node));
+        let pressed: Vec<(usize, u32)> = parts.iter().map(|e| (e.solid, e.node)).collect();
+        for &(point, solid) in &self.springs.touching {
+            let Some(p) = self.points.as_ref().and_then(|p| p.list.get(point as usize)) else {
+                continue;
+            };
+            for (&node, &w) in p.nodes.iter().zip(&p.weights) {
+                if let Some(whole) = weight(node)
+                    && pressed.binary_search(&(solid as usize, node)).is_ok()
+                {
+                    parts.push(Part {
+                        node,
+                        solid: solid as usize,
+                        share: w / whole,
+                        push: DVec3::ZERO,
+                        friction: DVec3::ZERO,
+                    });
+                }
+            }
+        }
+        parts.sort_by_key(|e| (e.solid, e.node));
+        parts
+            .chunk_by(|a, b| (a.solid, a.node) == (b.solid, b.node))
+            .map(|list| {
+                let push: DVec3 = list.iter().map(|e| e.push).sum();
+                ContactForce {
+                    node: list[0].node,
+                    solid: list[0].solid,
+                    share: list.iter().map(|e| e.share).sum::<f64>().min(1.0),
+                    normal: push.normalize_or_zero(),
+                    push_un: push.length(),
+                    friction_un: list.iter().map(|e| e.friction).sum(),
+                }
+            })
+            .collect()
     }
 
     /// Constraints of holds and contacts on the accelerations of this step.
@@ -206,6 +278,27 @@ impl Simulation {
                 drag: across * size,
                 solid_velocity,
             });
+        }
+        for s in &self.springs.active {
+            let (solid, p) = (&self.solids[s.solid as usize], self.point(s));
+            if solid.friction == 0.0 || s.push_un == 0.0 {
+                continue;
+            }
+            let x = p.of(&self.x);
+            let normal = solid.touch(x, Some(s.face)).normal;
+            let solid_velocity = solid.velocity(x, self.dt);
+            let slide = p.of(&self.v) - solid_velocity;
+            let slide = slide - normal * normal.dot(slide);
+            let size = solid.friction * s.push_un / slide.length().max(self.settings.friction_speed_mm_s);
+            let across =
+                DMat3::IDENTITY - DMat3::from_cols(normal * normal.x, normal * normal.y, normal * normal.z);
+            for (&node, &w) in p.nodes.iter().zip(&p.weights).filter(|e| *e.1 > 0.0) {
+                drags.push(Drag {
+                    node: node as usize,
+                    drag: across * (size * w),
+                    solid_velocity,
+                });
+            }
         }
         drags
     }

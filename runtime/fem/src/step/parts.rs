@@ -5,7 +5,7 @@
 //! repeated while contacts change; then [`Simulation::end_part`].
 
 use crate::contact::Place;
-use crate::simulation::Contact;
+use crate::simulation::{Contact, Spring};
 use crate::{FemError, Simulation, StepReport};
 use glam::DVec3;
 use std::sync::Arc;
@@ -24,6 +24,7 @@ pub struct SavedState {
     v: Vec<DVec3>,
     a: Vec<DVec3>,
     contacts: Vec<Contact>,
+    springs: (u32, Vec<Spring>),
     before: Vec<Place>,
     steps: u64,
 }
@@ -79,6 +80,7 @@ impl Simulation {
             v: self.v.clone(),
             a: self.a.clone(),
             contacts: self.contacts.clone(),
+            springs: (self.springs.made, self.springs.active.clone()),
             before: self.solids.iter().map(|s| s.before).collect(),
             steps: self.steps,
         }
@@ -92,6 +94,10 @@ impl Simulation {
         self.a[..n].copy_from_slice(&saved.a[..n]);
         self.steps = saved.steps;
         self.contacts.clone_from(&saved.contacts);
+        match saved.springs.0 == self.springs.made {
+            true => self.springs.active.clone_from(&saved.springs.1),
+            false => self.springs.active.clear(),
+        }
         for (s, b) in self.solids.iter_mut().zip(&saved.before) {
             s.before = *b;
         }

@@ -474,7 +474,7 @@ impl TissueEngine {
             *force += f;
             *torque += at.cross(f);
             report.normal_force_n += c.push_un * 1e-6;
-            report.area_mm2 += area[c.node as usize];
+            report.area_mm2 += area[c.node as usize] * c.share;
             report.contacts += 1;
         }
         for (k, solid) in self.solids.iter().enumerate() {
