@@ -20,8 +20,8 @@ pub struct Tissue {
 /// Moduli of living tissue differ between persons, methods and strain by a factor of two or more: these are starting values
 /// of the right order, not a patient's. Poisson's ratio is 0.45 throughout, as incompressible as linear tets take without
 /// locking; damping is 0.02 s throughout, tuned by eye as in Chentanez et al. 2009. Stiffening, for those who choose [`Law::Demiray`], is
-/// 8 throughout, and nominal: no measured value stands behind it. It lets a needle's tip dent a kidney by 4 to 10 mm before a capsule of
-/// 1 N gives way, by 7 to 14 mm at 2 N, and no tet turns over (docs/benchmarks.md).
+/// 8 throughout, and nominal: no measured value stands behind it. It lets a needle's tip dent a kidney by 4 to 9 mm before a capsule of
+/// 1 N gives way, by 6 to 13 mm at 2 N, and no tet turns over (docs/benchmarks.md).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TissueTable {
