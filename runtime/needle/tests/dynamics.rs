@@ -1,5 +1,8 @@
 //! Motion: frequencies, energy, momentum, the base.
 
+mod common;
+
+use common::rod::sleeved;
 use glam::DVec3;
 use palpate_needle::{
     BaseMotion, EquilibriumParams, Held, Loads, NeedleError, NeedleParams, NewmarkParams, PreBend, Rod,
@@ -22,7 +25,7 @@ fn tip(rod: &Rod) -> DVec3 {
 #[test]
 fn first_frequency() {
     let length = 150.0;
-    let mut rod = Rod::in_sleeve(undamped(), DVec3::ZERO, DVec3::X, DVec3::Y, 5.0, length, 30).unwrap();
+    let mut rod = sleeved(undamped(), length, 30);
     let s = *rod.stiffness();
     let omega = 1.875104069_f64.powi(2) * (s.bending_un_mm2[0] / s.mass_g_per_mm).sqrt() / (length * length);
     // Released from the shape of the first mode, near enough that of a uniform load.
@@ -64,7 +67,7 @@ fn first_frequency() {
 /// Undamped, bent far and let go: with Newton's method to convergence the energy stays within 1 % over 1000 steps.
 #[test]
 fn energy_is_kept() {
-    let mut rod = Rod::in_sleeve(undamped(), DVec3::ZERO, DVec3::X, DVec3::Y, 5.0, 100.0, 20).unwrap();
+    let mut rod = sleeved(undamped(), 100.0, 20);
     let mut nodal_un = vec![DVec3::ZERO; 22];
     nodal_un[21] = DVec3::new(0.0, 2e4, 1e4);
     rod.equilibrium(
@@ -98,16 +101,7 @@ fn energy_is_kept() {
 /// and the needle comes to rest.
 #[test]
 fn damped_needle_comes_to_rest() {
-    let mut rod = Rod::in_sleeve(
-        NeedleParams::default(),
-        DVec3::ZERO,
-        DVec3::X,
-        DVec3::Y,
-        5.0,
-        150.0,
-        30,
-    )
-    .unwrap();
+    let mut rod = sleeved(NeedleParams::default(), 150.0, 30);
     let mut nodal_un = vec![DVec3::ZERO; 32];
     nodal_un[31] = DVec3::new(0.0, 5e4, 0.0);
     rod.equilibrium(
@@ -201,7 +195,7 @@ fn momentum_is_kept() {
 #[test]
 fn second_order_in_time() {
     let run = |steps: u32| {
-        let mut rod = Rod::in_sleeve(undamped(), DVec3::ZERO, DVec3::X, DVec3::Y, 5.0, 100.0, 6).unwrap();
+        let mut rod = sleeved(undamped(), 100.0, 6);
         let loads = Loads {
             gravity_mm_per_s2: DVec3::new(0.0, 9810.0, 0.0),
             ..Default::default()
@@ -227,16 +221,7 @@ fn second_order_in_time() {
 /// Needle fed at 20 mm/s for a second advances by 20 mm, stays straight and without strain; withdrawn, it comes back.
 #[test]
 fn insertion_and_retraction() {
-    let mut rod = Rod::in_sleeve(
-        NeedleParams::default(),
-        DVec3::ZERO,
-        DVec3::X,
-        DVec3::Y,
-        5.0,
-        50.0,
-        10,
-    )
-    .unwrap();
+    let mut rod = sleeved(NeedleParams::default(), 50.0, 10);
     let mut motion = BaseMotion {
         insertion_mm_per_s: 20.0,
         ..Default::default()
@@ -278,16 +263,7 @@ fn insertion_and_retraction() {
 /// Turning the base turns the tip's frame in the same step (quasi-static twist, free tip): bevel and pre-bend follow.
 #[test]
 fn base_rotation_reaches_the_tip_at_once() {
-    let mut rod = Rod::in_sleeve(
-        NeedleParams::default(),
-        DVec3::ZERO,
-        DVec3::X,
-        DVec3::Y,
-        5.0,
-        100.0,
-        20,
-    )
-    .unwrap();
+    let mut rod = sleeved(NeedleParams::default(), 100.0, 20);
     let before = rod.tip_frame();
     assert!(
         (rod.bevel_displacement(2.0, 10.0_f64.to_radians()) - 2.0 * 0.176327 * before.m2).length() < 1e-6
@@ -314,7 +290,7 @@ fn sleeve_carries_the_needle() {
         bending_damping_s: 5e-3,
         ..Default::default()
     };
-    let mut rod = Rod::in_sleeve(stiff, DVec3::ZERO, DVec3::X, DVec3::Y, 5.0, 40.0, 8).unwrap();
+    let mut rod = sleeved(stiff, 40.0, 8);
     let motion = BaseMotion {
         velocity_mm_per_s: [0.0, 0.0, 3.0],
         angular_velocity_rad_per_s: [0.0, 0.0, FRAC_PI_2],
@@ -356,7 +332,7 @@ fn vigorous_motion_stays_finite() {
         }],
         ..Default::default()
     };
-    let mut rod = Rod::in_sleeve(params, DVec3::ZERO, DVec3::X, DVec3::Y, 5.0, 150.0, 30).unwrap();
+    let mut rod = sleeved(params, 150.0, 30);
     let gravity_mm_per_s2 = DVec3::new(0.0, 0.0, -9810.0);
     let loads = Loads {
         gravity_mm_per_s2,

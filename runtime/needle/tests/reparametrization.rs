@@ -1,5 +1,8 @@
 //! Nodes that change under the needle: Akima reparametrisation, merging and splitting.
 
+mod common;
+
+use common::rod::sleeved;
 use glam::{DVec2, DVec3};
 use palpate_needle::{
     BaseMotion, EdgeLimits, EquilibriumParams, Loads, NeedleError, NeedleParams, NewmarkParams, PreBend, Rod,
@@ -18,7 +21,7 @@ fn params() -> NeedleParams {
 
 /// A needle bent by a load, moving and turned.
 fn bent() -> Rod {
-    let mut rod = Rod::in_sleeve(params(), DVec3::ZERO, DVec3::X, DVec3::Y, 5.0, 100.0, 20).unwrap();
+    let mut rod = sleeved(params(), 100.0, 20);
     rod.turn_ends(0.7, 0.0).unwrap();
     let mut nodal_un = vec![DVec3::ZERO; 22];
     nodal_un[21] = DVec3::new(0.0, 8e3, -4e3);
@@ -116,16 +119,7 @@ fn slid_nodes() {
 /// A straight needle that is stretched evenly stays so with any nodes: linear data are exact.
 #[test]
 fn even_strain_stays_even() {
-    let mut rod = Rod::in_sleeve(
-        NeedleParams::default(),
-        DVec3::ZERO,
-        DVec3::X,
-        DVec3::Y,
-        5.0,
-        60.0,
-        6,
-    )
-    .unwrap();
+    let mut rod = sleeved(NeedleParams::default(), 60.0, 6);
     let stretched: Vec<DVec3> = rod
         .position()
         .iter()
@@ -263,7 +257,7 @@ fn long_edges_split_on_the_curve() {
 /// Through insertion, base rotation and withdrawal with merging and splitting: lengths add up, the needle stays whole.
 #[test]
 fn insertion_with_refinement() {
-    let mut rod = Rod::in_sleeve(params(), DVec3::ZERO, DVec3::X, DVec3::Y, 5.0, 40.0, 8).unwrap();
+    let mut rod = sleeved(params(), 40.0, 8);
     let limits = EdgeLimits::of(&rod);
     assert_eq!((limits.min_mm, limits.max_mm), (2.5, 20.0));
     let loads = Loads {

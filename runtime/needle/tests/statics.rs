@@ -1,5 +1,8 @@
 //! Shapes at rest against beam theory: cantilever, elastica, buckling under load and under twist, pre-bent tips.
 
+mod common;
+
+use common::rod::sleeved;
 use glam::DVec3;
 use palpate_needle::{EquilibriumParams, Held, Loads, NeedleParams, PreBend, Rod};
 use std::f64::consts::{FRAC_PI_2, PI};
@@ -14,7 +17,7 @@ fn params() -> NeedleParams {
 
 /// Needle out of a sleeve at the origin along x.
 fn cantilever(length_mm: f64, edges: usize) -> Rod {
-    Rod::in_sleeve(params(), DVec3::ZERO, DVec3::X, DVec3::Y, 5.0, length_mm, edges).unwrap()
+    sleeved(params(), length_mm, edges)
 }
 
 fn tip_load(rod: &Rod, force: DVec3) -> Loads {
@@ -333,7 +336,7 @@ fn pre_bent_tip() {
         }],
         ..Default::default()
     };
-    let mut rod = Rod::in_sleeve(bent, DVec3::ZERO, DVec3::X, DVec3::Y, 5.0, 80.0, 80).unwrap();
+    let mut rod = sleeved(bent, 80.0, 80);
     rod.equilibrium(&Loads::default(), &EquilibriumParams::default())
         .unwrap();
     // 60 mm straight, then an arc of radius 50 mm towards m2 = x × y = z.

@@ -2,7 +2,7 @@
 #![allow(dead_code)]
 
 use glam::DVec3;
-use palpate_fem::{Material, Settings, Simulation, TissueMesh};
+use palpate_fem::{Law, Material, Settings, Simulation, TissueMesh};
 use palpate_fixtures::tets::tet_block;
 
 /// A box of cells from the origin to `size` mm.
@@ -79,4 +79,16 @@ pub fn displacements(s: &Simulation) -> Vec<DVec3> {
         .into_iter()
         .map(|n| s.positions()[n as usize] - s.mesh().rest()[n as usize])
         .collect()
+}
+
+/// Soft tissue of one law.
+pub fn material(law: Law, damping_s: f64) -> Material {
+    Material {
+        law,
+        youngs_modulus_pa: 5000.0,
+        poisson_ratio: 0.4,
+        stiffening: 4.0,
+        density_g_mm3: 1.05e-3,
+        damping_s,
+    }
 }

@@ -2,4 +2,5 @@
 #![allow(dead_code)]
 
 pub mod gel;
+pub mod rod;
 pub mod track;
