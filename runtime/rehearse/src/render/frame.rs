@@ -15,13 +15,20 @@ const FIDUCIAL: Rgb = rgb(0xf6e27a);
 const PLANE: Rgb = rgb(0x4fc3f7);
 /// Before every cut face, mm.
 const IN_FRONT_MM: f32 = 1e4;
-/// Colours of structures, in the package's order.
-const STRUCTURES: [Rgb; 5] = [
+/// Colours of structures, in the package's order: as many as packages have, or a lesion in the sixth place has the colour of the gland around it.
+const STRUCTURES: [Rgb; 12] = [
     rgb(0xe8c15a),
     rgb(0x5b8bd8),
     rgb(0x6fbf8b),
     rgb(0xb58ad0),
     rgb(0xd98fb0),
+    rgb(0x7a3b1e),
+    rgb(0xe9e2d0),
+    rgb(0x2f6f7a),
+    rgb(0xe07b2e),
+    rgb(0x8a9a3a),
+    rgb(0x4b4a8f),
+    rgb(0x9fd6df),
 ];
 
 /// A grey image with its size in the patient.
@@ -153,6 +160,7 @@ fn view(scene: &SceneGeometry, camera: &Camera, organ_opacity: f32, out: &mut Pi
     };
     // A needle shows in what it is pushed into.
     let pierced = !scene.needles.is_empty();
+    let ranks = ranks(&scene.structures);
     let structures = scene.structures.iter().enumerate().map(|(i, m)| {
         let colour = STRUCTURES[i % STRUCTURES.len()];
         let opacity = if pierced { 0.4 } else { 1.0 };
@@ -162,7 +170,7 @@ fn view(scene: &SceneGeometry, camera: &Camera, organ_opacity: f32, out: &mut Pi
                 opacity,
                 cut,
                 // Where it lies on the organ's surface; of cut faces, all in one plane, the smaller structure's is over the larger's.
-                lift_mm: 0.5 + 0.01 * larger(&scene.structures, i) as f32,
+                lift_mm: 0.5 + 0.01 * ranks[i] as f32,
                 ..Material::plain(colour)
             },
         )
@@ -215,9 +223,9 @@ fn view(scene: &SceneGeometry, camera: &Camera, organ_opacity: f32, out: &mut Pi
     draw_view(&shown, camera, out, 0);
 }
 
-/// How many structures are larger than one.
-fn larger(structures: &[&Mesh], one: usize) -> usize {
-    let size = |m: &Mesh| {
+/// How many structures are larger, of each.
+fn ranks(structures: &[&Mesh]) -> Vec<usize> {
+    let size = |m: &&Mesh| {
         let ends = m
             .vertices
             .iter()
@@ -226,9 +234,12 @@ fn larger(structures: &[&Mesh], one: usize) -> usize {
             });
         (ends.1 - ends.0).length()
     };
-    let own = size(structures[one]);
-    let before = |(i, m): (usize, &&Mesh)| size(m).total_cmp(&own).then(one.cmp(&i)).is_gt();
-    structures.iter().enumerate().filter(|&m| before(m)).count()
+    let sizes: Vec<f32> = structures.iter().map(size).collect();
+    let mut order: Vec<usize> = (0..sizes.len()).collect();
+    order.sort_by(|&a, &b| sizes[b].total_cmp(&sizes[a]));
+    let mut ranks = vec![0; sizes.len()];
+    order.iter().enumerate().for_each(|(rank, &i)| ranks[i] = rank);
+    ranks
 }
 
 /// Patient directions at the edges of the view, and a scale bar.

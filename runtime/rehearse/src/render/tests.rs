@@ -136,6 +136,44 @@ fn a_cut_opens_closed_surfaces_and_takes_away_what_lies_before_it() {
     );
 }
 
+/// A lesion in a gland, cut through the middle, wherever both stand in the list: its face has another colour than the gland's and the organ's.
+#[test]
+fn a_structure_in_another_shows_in_the_cut() {
+    let (gland, lesion) = (ball(Vec3::ZERO, 12.0, 48), ball(Vec3::ZERO, 4.0, 48));
+    let elsewhere: Vec<Mesh> = (0..12)
+        .map(|k| ball(Vec3::new(40.0 + k as f32, 0.0, 0.0), 1.0, 8))
+        .collect();
+    let organ = ball(Vec3::ZERO, 20.0, 48);
+    for (a, b) in (0..12)
+        .flat_map(|a| (0..12).map(move |b| (a, b)))
+        .filter(|(a, b)| a != b)
+    {
+        let mut structures: Vec<&Mesh> = elsewhere.iter().collect();
+        (structures[a], structures[b]) = (&gland, &lesion);
+        let scene = SceneGeometry {
+            organs: vec![&organ],
+            structures,
+            needles: vec![ball(Vec3::new(-30.0, 0.0, 0.0), 1.0, 8)],
+            cut_mm: Some(0.0),
+            ..SceneGeometry::default()
+        };
+        let picture = draw_frame(
+            &scene,
+            &camera(200, 160),
+            0.6,
+            None,
+            &FrameText::default(),
+            200,
+            160,
+        );
+        let [lesion, gland, organ] = [100, 132, 164].map(|x| picture.get(x, 80).map(i32::from));
+        let apart = |a: [i32; 3], b: [i32; 3]| (0..3).map(|k| (a[k] - b[k]).pow(2)).sum::<i32>();
+        for (one, other) in [(lesion, gland), (gland, organ), (lesion, organ)] {
+            assert!(apart(one, other) > 30 * 30, "{a} {b}: {one:?} {other:?}");
+        }
+    }
+}
+
 #[test]
 fn nearer_wins_in_any_order_and_veils_let_through() {
     let red = Material {
