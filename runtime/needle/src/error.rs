@@ -126,11 +126,53 @@ pub enum NeedleError {
     },
     /// The mesh at the tip belongs to another needle.
     #[error(
-        "the tip can only go on by changing the mesh around node {node}, which is on another needle's track: keep needles at least two elements apart"
+        "the tip can only go on by moving node {node} or splitting an edge at it, which is on another needle's track: keep needles an element apart"
     )]
     TrackConflict {
         /// Node of the other track.
         node: u32,
+    },
+    /// The mesh that a track would undo has been split again by another one.
+    #[error(
+        "the needle cannot be drawn back further: another one, with node {node}, has split the elements along it; draw that one back first"
+    )]
+    TrackBelow {
+        /// Node of the other track.
+        node: u32,
+    },
+    /// The tip would come upon its own shaft.
+    #[error(
+        "the tip of needle {needle} would run into its own shaft at {at:.1} mm: it has been steered round in a circle; steer less, or draw it back and turn it"
+    )]
+    CrossesItself {
+        /// Index of the needle.
+        needle: usize,
+        /// Where, mm.
+        at: glam::DVec3,
+    },
+    /// The tip would come upon another needle's shaft, or the mesh has no room between them.
+    #[error(
+        "the tip of needle {needle} would run into needle {other} at {at:.1} mm: aim past it by more than their thickness, or withdraw it first"
+    )]
+    MeetsNeedle {
+        /// Index of the needle.
+        needle: usize,
+        /// Index of the needle in its way.
+        other: usize,
+        /// Where, mm.
+        at: glam::DVec3,
+    },
+    /// A needle under another one.
+    #[error(
+        "needle {needle} cannot be drawn back further at {at:.1} mm before needle {other} is: that one has since cut the same elements of the tissue, and they are mended from the last cut to the first; draw needle {other} back first"
+    )]
+    WithdrawFirst {
+        /// Index of the needle that must wait.
+        needle: usize,
+        /// Index of the needle that must be drawn back first.
+        other: usize,
+        /// Where, mm.
+        at: glam::DVec3,
     },
     /// A track without nodes.
     #[error("the needle is not in the tissue: puncture the surface first")]

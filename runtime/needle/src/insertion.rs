@@ -6,6 +6,7 @@ mod ahead;
 mod bevel;
 mod chain;
 mod foundation;
+mod meet;
 mod pace;
 mod params;
 mod report;
@@ -240,7 +241,9 @@ impl Insertion {
     /// Errors
     /// - [`NeedleError::Count`], [`NeedleError::Parameter`] motions that do not fit
     /// - [`NeedleError::SleeveEdge`], [`NeedleError::Folded`], [`NeedleError::LeavesTissue`], [`NeedleError::HitsRigid`],
-    ///   [`NeedleError::NotPositiveDefinite`], [`NeedleError::Tissue`]; the state is then that after the last part that was whole
+    ///   [`NeedleError::CrossesItself`], [`NeedleError::NotPositiveDefinite`], [`NeedleError::Tissue`]; the state is then that after the last
+    ///   part that was whole
+    /// - [`NeedleError::MeetsNeedle`], [`NeedleError::WithdrawFirst`]; the state is whole, the tip where it could still go
     pub fn step(&mut self, motion: &[BaseMotion]) -> Result<InsertionReport, NeedleError> {
         if motion.len() != self.needles.len() {
             return Err(NeedleError::Count {

@@ -8,7 +8,8 @@
 //! friction states of nodes shared with tissue ([`solve_stick_slip`]); nodes and edges of the tissue's mesh along the needle
 //! ([`Track`]); needles and tissue moved on together, from the first touch to the last ([`Insertion`]).
 //! Refuses: parameters out of range, nodes that make no needle, a needle bent back on itself, more retraction than there is; one that
-//! starts inside the tissue, leaves it through the far side or meets a rigid region.
+//! starts inside the tissue, leaves it through the far side, meets a rigid region, another needle or its own shaft, or is drawn back before one
+//! that has cut the same elements after it.
 //!
 //! Units: mm, g, s; so force is µN, stress Pa, energy nJ.
 #![forbid(unsafe_code)]
@@ -42,4 +43,4 @@ pub use stick_slip::{
     FrictionLimit, FrictionState, StickSlipOutcome, StickSlipParams, StickSlipSystem, carry_states,
     solve_stick_slip,
 };
-pub use track::{Displaced, LeaveReport, Operation, Track, TrackParams, TrackReport, locate};
+pub use track::{Claims, Displaced, LeaveReport, Operation, Track, TrackParams, TrackReport, locate};

@@ -10,6 +10,7 @@ mod edit;
 mod fit;
 mod grip;
 mod locate;
+mod others;
 mod overlay;
 mod params;
 mod puncture;
@@ -25,9 +26,10 @@ use grip::{Grip, surroundings};
 pub use locate::locate;
 pub(crate) use locate::walk;
 use locate::{Crossing, blend, locate_in, state_at, trace};
+pub use others::Claims;
 use palpate_fem::{NodeState, Simulation, Tet};
 pub use params::TrackParams;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 /// Halvings of a motion for which no operation was found, before every face on the way is split.
 const MOST_HALVINGS: u32 = 4;
@@ -116,8 +118,10 @@ pub struct LeaveReport {
     pub restored: u32,
     /// Nodes that were out of place once all splits were undone, by slot.
     pub displaced: Vec<Displaced>,
-    /// Whether they have been put back.
+    /// Whether they have been put back, but for those handed on.
     pub put_back: bool,
+    /// Those that another track needs where they are, with their first places (material mm): for its [`Track::inherit`].
+    pub handed: Vec<(u32, DVec3)>,
 }
 
 /// A split, with what undoes it.
@@ -129,6 +133,8 @@ struct Split {
     home: DVec3,
     /// Tets that it replaced.
     parents: Vec<Tet>,
+    /// Tets that it made, by their corners: those around its node.
+    children: Vec<[u32; 4]>,
     /// Places, just before, of the nodes that the track had moved or made: with them that mesh was valid.
     positions: Vec<(u32, DVec3)>,
 }
@@ -141,8 +147,10 @@ pub struct Track {
     stack: Vec<Split>,
     /// First places of the original nodes that have been moved.
     originals: BTreeMap<u32, DVec3>,
-    /// Nodes of other tracks.
-    foreign: BTreeSet<u32>,
+    /// What other tracks need as it is.
+    foreign: Claims,
+    /// On its way back a track splits no tets at the nodes of others: it would get in the way of those it has to wait for.
+    backs: bool,
 }
 
 impl Track {
@@ -154,20 +162,6 @@ impl Track {
     /// Splits that have not been undone.
     pub fn depth(&self) -> usize {
         self.stack.len()
-    }
-
-    /// Nodes of which other tracks must not touch any tet: the chain, and all that the track has moved. Ascending.
-    pub fn owned(&self) -> Vec<u32> {
-        let mut nodes: Vec<u32> = self.chain.iter().chain(self.originals.keys()).copied().collect();
-        nodes.sort_unstable();
-        nodes.dedup();
-        nodes
-    }
-
-    /// Replaces the nodes of other tracks ([`Track::owned`] of each) that this one keeps off. Tell it before every motion if there are
-    /// several needles.
-    pub fn keep_off(&mut self, nodes: impl IntoIterator<Item = u32>) {
-        self.foreign = nodes.into_iter().collect();
     }
 
     fn created(&self, node: u32) -> bool {
@@ -183,7 +177,8 @@ impl Track {
     ///
     /// # Errors
     /// - [`NeedleError::OutsideTissue`]: the place is not in the mesh; the mesh is as it was
-    /// - [`NeedleError::TrackConflict`]: only operations on another track's tets were possible
+    /// - [`NeedleError::TrackConflict`]: only operations that another track does not allow were possible
+    /// - [`NeedleError::TrackBelow`]: another track has split the tets of the split to be undone
     /// - [`NeedleError::TrackEmpty`]: the needle has left
     /// - [`NeedleError::NotFinite`], [`NeedleError::Tissue`]: a state that is no number
     pub fn advance(&mut self, sim: &mut Simulation, tip: NodeState) -> Result<TrackReport, NeedleError> {
@@ -209,6 +204,13 @@ impl Track {
     /// # Errors
     /// As [`Track::advance`], but a place outside the mesh means that the tip is at the entry.
     pub fn retract(&mut self, sim: &mut Simulation, tip: NodeState) -> Result<TrackReport, NeedleError> {
+        self.backs = true;
+        let done = self.draw_back(sim, tip);
+        self.backs = false;
+        done
+    }
+
+    fn draw_back(&mut self, sim: &mut Simulation, tip: NodeState) -> Result<TrackReport, NeedleError> {
         check_state(&tip)?;
         let mut report = TrackReport::default();
         self.tip()?;
@@ -225,20 +227,19 @@ impl Track {
                 self.drop_tip(sim, &mut report)?;
                 continue;
             };
-            if self.place(
-                sim,
-                &inside(sim, slot, tip.rest)?,
-                tip,
-                Motion::Backward,
-                &mut report,
-            )? {
+            let goal = inside(sim, slot, tip.rest)?;
+            let placed = self.place(sim, &goal, tip, Motion::Backward, &mut report);
+            if let Ok(true) = placed {
                 break;
             }
             report.fallbacks += 1;
             self.drop_tip(sim, &mut report)?;
             let mut parts = MOST_PARTS;
-            self.forward(sim, tip, MOST_HALVINGS - 1, &mut parts, &mut report)?;
-            break;
+            match placed.and_then(|_| self.forward(sim, tip, MOST_HALVINGS - 1, &mut parts, &mut report)) {
+                // The tip is the node behind its place then.
+                Ok(()) | Err(NeedleError::TrackConflict { .. }) => break,
+                Err(e) => return Err(e),
+            }
         }
         self.tend(sim, &mut report)?;
         self.finish(sim, tip, report)
@@ -248,15 +249,26 @@ impl Track {
     /// [`TrackParams::put_back`] is set. The track is empty then.
     ///
     /// # Errors
-    /// [`NeedleError::Tissue`]: the mesh was changed by others meanwhile.
+    /// - [`NeedleError::TrackBelow`]: another track has built on this one's tets ([`Track::held_by`]) and must leave first
+    /// - [`NeedleError::Tissue`]: the mesh was changed by others meanwhile
     pub fn leave(&mut self, sim: &mut Simulation) -> Result<LeaveReport, NeedleError> {
         let mut report = TrackReport::default();
-        while self.stack.last().is_some() {
+        if let Some(node) = self.held_by(sim) {
+            return Err(NeedleError::TrackBelow { node });
+        }
+        while let Some(node) = self.stack.last().map(|s| s.node) {
             self.undo(sim, &mut report)?;
+            if let Some(k) = self.chain.iter().position(|&n| n == node) {
+                self.chain.truncate(k);
+            }
         }
         self.chain.clear();
         let displaced = self.displaced(sim);
+        let mut handed = Vec::new();
         if self.params.put_back {
+            for node in self.bound_nodes(sim, &displaced) {
+                handed.extend(self.originals.remove(&node).map(|home| (node, home)));
+            }
             self.put_back(sim)?;
         }
         self.originals.clear();
@@ -265,6 +277,7 @@ impl Track {
             restored: report.restored,
             displaced,
             put_back: self.params.put_back,
+            handed,
         })
     }
 

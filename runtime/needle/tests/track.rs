@@ -5,7 +5,7 @@ mod common;
 use common::track::{Watch, block, state_at};
 use glam::{DMat3, DVec3};
 use palpate_fem::NodeState;
-use palpate_needle::{NeedleError, Track, TrackParams, locate};
+use palpate_needle::{Claims, NeedleError, Track, TrackParams, locate};
 
 /// A place on the block's top face, off all nodes and edges.
 fn entry(size: f64) -> DVec3 {
@@ -298,28 +298,28 @@ fn deformed_shape_does_not_jump() {
 fn tracks_keep_off_each_other() {
     let mut sim = block(40.0, 10, &|_| 0);
     let watch = Watch::new(&sim);
-    let enter = |sim: &mut _, x: f64, others: Vec<u32>| {
+    let enter = |sim: &mut _, x: f64, others: Claims| {
         Track::puncture_apart(sim, DVec3::new(x, 19.7, 40.0), TrackParams::default(), others)
     };
     let push = |sim: &mut _, track: &mut Track, to: DVec3| {
         let tip = state_at(sim, to);
         track.advance(sim, tip).map(|_| ())
     };
-    let mut first = enter(&mut sim, 10.3, vec![]).unwrap();
+    let mut first = enter(&mut sim, 10.3, Claims::default()).unwrap();
     assert!(matches!(
-        enter(&mut sim, 11.0, first.owned()),
+        enter(&mut sim, 11.0, first.claims()),
         Err(NeedleError::TrackConflict { .. })
     ));
-    let mut second = enter(&mut sim, 28.9, first.owned()).unwrap();
+    let mut second = enter(&mut sim, 28.9, first.claims()).unwrap();
     for k in 1..50 {
-        first.keep_off(second.owned());
+        first.keep_off(second.claims());
         push(
             &mut sim,
             &mut first,
             DVec3::new(10.3, 19.7, 40.0 - 0.4 * f64::from(k)),
         )
         .unwrap();
-        second.keep_off(first.owned());
+        second.keep_off(first.claims());
         push(
             &mut sim,
             &mut second,
@@ -330,7 +330,7 @@ fn tracks_keep_off_each_other() {
     // Towards the other's track: refused at last, with a sound mesh.
     let mut refused = None;
     for k in 1..80 {
-        second.keep_off(first.owned());
+        second.keep_off(first.claims());
         let at = DVec3::new(28.9 - 0.3 * f64::from(k), 19.5, 22.8);
         if let Err(e) = push(&mut sim, &mut second, at) {
             refused = Some((at.x, e));
@@ -341,7 +341,7 @@ fn tracks_keep_off_each_other() {
     let Some((x, NeedleError::TrackConflict { node })) = refused else {
         panic!("{refused:?}")
     };
-    assert!(first.owned().contains(&node) && (10.3..24.0).contains(&x), "{x}");
+    assert!(first.claims().has_node(node) && (10.3..24.0).contains(&x), "{x}");
     watch.check(&sim, &first);
     watch.check(&sim, &second);
     // The first needle leaves first.

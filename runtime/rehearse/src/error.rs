@@ -78,15 +78,30 @@ pub enum RehearseError {
         /// Key of the scene that asked for it.
         key: String,
     },
-    /// Two needles come too near to each other.
+    /// A needle's tip comes upon another needle.
     #[error(
-        "needle \"{name}\" meets needle \"{other}\" at {at} mm: the tissue around its tip is on the other's track; enter and aim at least \
-         two elements apart, and withdraw first what came last"
+        "needle \"{name}\" meets needle \"{other}\" at {at} mm: its tip would run into the other's shaft; aim past it by more than their \
+         thickness, or withdraw \"{other}\" first"
     )]
     NeedlesMeet {
         /// The needle whose tip cannot move.
         name: String,
         /// The needle in its way.
+        other: String,
+        /// Where, patient mm.
+        at: String,
+        /// Key of the scene that asked for it.
+        key: String,
+    },
+    /// A needle is drawn back before another one that has cut the same tissue after it.
+    #[error(
+        "needle \"{name}\" cannot be drawn back further before needle \"{other}\", at {at} mm: \"{other}\" has since cut the same elements of the \
+         tissue, and they are mended from the last cut to the first; withdraw \"{other}\" first"
+    )]
+    NeedleBelow {
+        /// The needle that must wait.
+        name: String,
+        /// The needle that must be withdrawn first.
         other: String,
         /// Where, patient mm.
         at: String,
@@ -116,7 +131,9 @@ impl RehearseError {
     /// The scene's key whose movement a needle could not make.
     pub fn needle_key(&self) -> Option<&str> {
         match self {
-            Self::Needle { key, .. } | Self::NeedlesMeet { key, .. } => Some(key),
+            Self::Needle { key, .. } | Self::NeedlesMeet { key, .. } | Self::NeedleBelow { key, .. } => {
+                Some(key)
+            }
             _ => None,
         }
     }

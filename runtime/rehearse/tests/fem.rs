@@ -196,3 +196,33 @@ fn names_and_constants_are_checked_against_the_package() {
     let told = d.ok("run free.toml --package k.palpate -o free");
     assert!(told.contains("Nothing holds the tissue"), "{told}");
 }
+
+/// A piece of tissue that nothing holds, beside one that is held: named with its size and place.
+#[test]
+fn a_floating_piece_beside_held_tissue_is_named() {
+    let d = Dir::new();
+    let mut model = palpate_package::ModelPackage::read(d.path("k.palpate")).unwrap();
+    let fem = &mut model.fem;
+    let top = fem
+        .vertices
+        .iter()
+        .fold([f32::NEG_INFINITY; 3], |m, v| [0, 1, 2].map(|k| m[k].max(v[k])));
+    let base = fem.vertices.len() as u32;
+    let corners = [[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [0.0, 4.0, 0.0], [0.0, 0.0, 4.0]];
+    for c in corners {
+        fem.vertices
+            .push([0, 1, 2].map(|k| top[k] + [20.0, 0.0, 0.0][k] + c[k]));
+    }
+    fem.tets.push([base, base + 1, base + 2, base + 3]);
+    fem.regions.push(0);
+    fem.tagged.iter_mut().for_each(|t| t.tet_fraction.push(0.0));
+    model.write(d.path("two.palpate")).unwrap();
+    d.write("f.toml", &scene());
+    let told = d.ok("run f.toml --package two.palpate -o out");
+    let middle = [0, 1, 2].map(|k| f64::from(top[k]) + [21.0, 1.0, 1.0][k] + model.info.local_origin_mm[k]);
+    let [x, y, z] = middle;
+    let piece = format!("Nothing holds a piece of the tissue of 4 nodes around ({x:.1}, {y:.1}, {z:.1}) mm");
+    assert!(told.contains(&piece), "{piece}: {told}");
+    let held = d.ok("run f.toml --package k.palpate -o held");
+    assert!(!held.contains("Nothing holds"), "{held}");
+}

@@ -304,18 +304,20 @@ fn in_and_out(wait: f64, rest: f64) -> String {
 fn two_needles_leave_in_reverse_order_and_are_told_where_they_meet() {
     let d = Dir::new();
     // The second one so many mm beside the first, which aims at the tumour's middle.
-    let two = |beside: f64| {
+    let two = |beside: f64, waits: [[f64; 2]; 2]| {
         bare(|entry| {
             let one = |name: &str, target: &str| {
                 let named = entry.replace("name = 'needle'", &format!("name = '{name}'"));
                 format!("[[needle]]\n{}", named.replace("target = 'tumour'", target))
             };
             let place = format!("target_mm = [{}, 45.5, -309.0]", -77.25 + beside);
-            let first = one("first", "target = 'tumour'") + &in_and_out(0.0, 3.5);
-            first + &one("second", &place) + &in_and_out(1.2, 0.2)
+            let [[a, b], [c, d]] = waits;
+            let first = one("first", "target = 'tumour'") + &in_and_out(a, b);
+            first + &one("second", &place) + &in_and_out(c, d)
         })
     };
-    d.write("two.toml", &two(2.0));
+    let last_first = [[0.0, 3.5], [1.2, 0.2]];
+    d.write("two.toml", &two(2.0, last_first));
     d.ok("run two.toml --package k.palpate -o out --threads 1 -q");
     let all = rows(&d.read("out/needle.csv"));
     let of = |name: &str, what: &str| -> f64 {
@@ -346,8 +348,30 @@ fn two_needles_leave_in_reverse_order_and_are_told_where_they_meet() {
     assert!(page.contains("<h3>first</h3>") && page.contains("<h3>second</h3>"));
     d.ok("run two.toml --package k.palpate -o more --threads 3 -q");
     assert!(d.read("out/recording.json") == d.read("more/recording.json"));
-    // Less than a tet apart: both are named, with the line of the movement; what was done until then is left.
-    let text = two(0.4);
+    // Side by side in the same tets: from the last to the first they leave, the other way round only where they share none.
+    d.write("beside.toml", &two(0.8, last_first));
+    d.ok("run beside.toml --package k.palpate -o beside -q");
+    let mut refused = 0;
+    for beside in [0.7, 0.8, 0.9] {
+        let text = two(beside, [[0.0, 1.5], [1.2, 3.5]]);
+        d.write("first.toml", &text);
+        let ran = d.run("run first.toml --package k.palpate -o first -q");
+        if !ran.status.success() {
+            let err = String::from_utf8_lossy(&ran.stderr);
+            let line = text[..text.find("name = 'out'").unwrap()].lines().count();
+            for part in [
+                &format!("first.toml:{line}: step ") as &str,
+                "needle \"first\" cannot be drawn back further before needle \"second\"",
+                "withdraw \"second\" first",
+            ] {
+                assert!(err.contains(part), "{beside}: {part}: {err}");
+            }
+            refused += 1;
+        }
+    }
+    assert!(refused > 0);
+    // Nearer than they are thick: both are named, with the line of the movement; what was done until then is left.
+    let text = two(0.4, last_first);
     d.write("near.toml", &text);
     let err = d.fails(1, "run near.toml --package k.palpate -o near -q");
     let second = text.find("name = 'second'").unwrap();
@@ -356,11 +380,41 @@ fn two_needles_leave_in_reverse_order_and_are_told_where_they_meet() {
     for part in [
         &format!("near.toml:{line}: step ") as &str,
         "needle \"second\" meets needle \"first\"",
-        "withdraw first what came last",
+        "or withdraw \"first\" first",
     ] {
         assert!(err.contains(part), "{part}: {err}");
     }
     assert!(d.read("near/summary.html").contains("The session stopped: step"));
+}
+
+/// A sleeve that runs on towards the organ folds a thin needle: told with the line of the movement, the place and what to do.
+#[test]
+fn a_needle_that_bends_back_on_itself_is_told_with_its_line() {
+    let d = Dir::new();
+    let text = bare(|entry| {
+        let thin = entry
+            .replace("diameter_mm = 0.5", "diameter_mm = 0.15\nsymmetric = true")
+            .replace("free_mm = 8.0", "free_mm = 20.0")
+            .replace("friction_n_per_mm = 0.002", "friction_n_per_mm = 0.5")
+            .replace("force_n = 0.02", "force_n = 0.0")
+            .replace("cutting_force_n = 0.01", "cutting_force_n = 0.001");
+        let runs_on = "[[needle.motion]]\nname = 'in'\nreach = 'target'\ninsertion_mm_s = 8\n\
+                       [[needle.motion]]\nname = 'runs on'\nseconds = 0.3\nvelocity_mm_s = [20, -400, 0]\n";
+        format!("[[needle]]\n{thin}{runs_on}")
+    });
+    d.write("fold.toml", &text);
+    let err = d.fails(1, "run fold.toml --package k.palpate -o out -q");
+    let line = text[..text.find("name = 'runs on'").unwrap()].lines().count();
+    for part in [
+        &format!("fold.toml:{line}: step ") as &str,
+        "needle \"needle\": needle bends back on itself at node ",
+        "move the base more slowly",
+    ] {
+        assert!(err.contains(part), "{part}: {err}");
+    }
+    // Places in the patient, as everywhere else.
+    assert!(err.contains(", -30") || err.contains(", -31"), "{err}");
+    assert!(d.read("out/summary.html").contains("The session stopped: step"));
 }
 
 #[test]

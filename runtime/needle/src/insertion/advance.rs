@@ -146,12 +146,13 @@ impl Insertion {
                 self.slow_down(f64::from(1u32 << slower))?;
             }
             let goals = self.goals(&rods, &solved)?;
+            self.check_ways(&goals)?;
             Ok((solved, goals))
         });
         match done {
             Ok((solved, goals)) => {
                 report.substeps += 1;
-                self.settle(solved, goals, dt, report)
+                self.settle(solved, goals, motion, dt, report)
             }
             Err(e) => {
                 self.return_to(&rods, &saved);
@@ -363,13 +364,10 @@ impl Insertion {
             );
             coupled.history = &self.history;
             let outcome = solve_stick_slip(&mut coupled, &limits, &states, &self.params.stick_slip)?;
-            report.trials = report.trials.max(outcome.trials);
-            let before = (outcome.trials, outcome.iterations);
-            report.trials_total += before.0;
-            report.iterations += before.1;
             let (outcome, met) = self.meet_faces(&mut coupled, &mut limits, outcome)?;
-            report.trials_total += outcome.trials - before.0;
-            report.iterations += outcome.iterations - before.1;
+            report.trials = report.trials.max(outcome.trials);
+            report.trials_total += outcome.trials;
+            report.iterations += outcome.iterations;
             report.settled &= coupled.settled;
             let forces = coupled.coupling_forces();
             let nodes: Vec<u32> = coupled.nodes.iter().map(|n| n.tissue).collect();
@@ -444,6 +442,7 @@ impl Insertion {
         &mut self,
         solved: Solved,
         goals: Vec<Goal>,
+        motion: &[BaseMotion],
         dt: f64,
         report: &mut InsertionReport,
     ) -> Result<(), NeedleError> {
@@ -451,6 +450,7 @@ impl Insertion {
             self.needles[k].within[m] = true;
         }
         let mut from = 0;
+        let mut refused = None;
         for (k, goal) in goals.into_iter().enumerate() {
             let count = self.needles[k].chain.len();
             self.needles[k].states = solved.states[from..from + count].to_vec();
@@ -459,8 +459,23 @@ impl Insertion {
             let r = &mut report.needles[k];
             r.tip_slip_mm += solved.slip[k];
             r.most_push_un = r.most_push_un.max(solved.push[k]);
-            self.follow(k, goal, report)?;
+            match self.follow(k, goal, report) {
+                Ok(()) => {}
+                // All needles go on to the end of the part.
+                Err(
+                    e @ (NeedleError::TrackConflict { .. }
+                    | NeedleError::TrackBelow { .. }
+                    | NeedleError::OutsideTissue { .. }),
+                ) => {
+                    // One at rest that only gives way to the tissue stays with it.
+                    match self.needles[k].base_speed(&motion[k]) == 0.0 {
+                        true => report.needles[k].fallbacks += 1,
+                        false => refused = refused.or(Some(self.name_other(k, e))),
+                    }
+                }
+                Err(e) => return Err(e),
+            }
         }
-        Ok(())
+        refused.map_or(Ok(()), Err)
     }
 }

@@ -4,7 +4,7 @@ use super::advance::Solved;
 use super::bevel::Part;
 use super::surface::entry_point;
 use super::{CutLaw, Event, Insertion, InsertionReport, Needle};
-use crate::{FrictionState, NeedleError, Rod, Track, carry_states, locate};
+use crate::{Claims, FrictionState, NeedleError, Rod, Track, carry_states, locate};
 use glam::{DMat3, DVec3};
 use palpate_fem::{NodeState, Tet};
 use std::time::Instant;
@@ -327,14 +327,6 @@ impl Insertion {
         if found.is_finite() { found } else { DVec3::ZERO }
     }
 
-    /// Nodes that belong to the other needles.
-    fn others(&self, k: usize) -> Vec<u32> {
-        let others = self.needles.iter().enumerate().filter(|(j, _)| *j != k);
-        others
-            .flat_map(|(_, n)| n.track.as_ref().map_or_else(|| n.chain.clone(), Track::owned))
-            .collect()
-    }
-
     /// Makes needle `k` and the tissue agree again after a part.
     pub(super) fn follow(
         &mut self,
@@ -353,11 +345,11 @@ impl Insertion {
 
         let start = Instant::now();
         let alone = self.needles.len() == 1;
-        let others = if alone { Vec::new() } else { self.others(k) };
+        let others = if alone { Claims::default() } else { self.others(k) };
         let r = &mut report.needles[k];
         let (n, tissue) = (&mut self.needles[k], &mut self.tissue);
         let was = n.chain.len();
-        let mut done = None;
+        let (mut done, mut refused, mut handed) = (None, None, Vec::new());
         let touches = matches!(goal, Goal::Touch { .. });
         let (cuts, retreats) = (matches!(goal, Goal::Advance(_)), matches!(goal, Goal::Retract(_)));
         match goal {
@@ -391,7 +383,10 @@ impl Insertion {
                 let pierced = std::mem::take(&mut n.beyond) > 0;
                 if let Some(track) = &mut n.track {
                     track.keep_off(others);
-                    done = Some(track.advance(tissue, state)?);
+                    match track.advance(tissue, state) {
+                        Ok(d) => done = Some(d),
+                        Err(e) => refused = Some(e),
+                    }
                     if was == 1 && !pierced && track.nodes().len() > 1 {
                         r.events.push(Event::Puncture);
                     }
@@ -400,21 +395,35 @@ impl Insertion {
             Goal::Retract(state) => {
                 if let Some(track) = &mut n.track {
                     track.keep_off(others);
-                    done = Some(track.retract(tissue, state)?);
+                    match track.retract(tissue, state) {
+                        Ok(d) => done = Some(d),
+                        Err(e) => refused = Some(e),
+                    }
                 }
             }
             Goal::Leave => {
-                if let Some(mut track) = n.track.take() {
-                    track.leave(tissue)?;
+                if let Some(track) = &mut n.track {
+                    track.keep_off(others);
+                    match track.leave(tissue) {
+                        Ok(left) => handed = left.handed,
+                        Err(e) => refused = Some(e),
+                    }
                 }
-                n.chain.clear();
-                n.course = None;
-                n.beyond = 0;
-                n.states.clear();
-                n.last_membrane = None;
-                n.within.fill(false);
-                r.events.push(Event::Left);
+                if refused.is_none() {
+                    n.track = None;
+                    n.chain.clear();
+                    n.course = None;
+                    n.beyond = 0;
+                    n.states.clear();
+                    n.last_membrane = None;
+                    n.within.fill(false);
+                    r.events.push(Event::Left);
+                }
             }
+        }
+        // Where its track could not follow, the needle stays with it.
+        if let (Some(_), Some(track)) = (&refused, &n.track) {
+            n.chain = track.nodes().to_vec();
         }
         if let Some(done) = &done {
             r.fallbacks += done.fallbacks;
@@ -431,6 +440,7 @@ impl Insertion {
         } else if retreats {
             self.note_retreat(k);
         }
+        self.hand_on(k, handed);
         if done.is_some() || touches {
             self.note_membranes(k, report);
         }
@@ -443,7 +453,7 @@ impl Insertion {
         }
         self.agree(k)?;
         report.needle_time_s += start.elapsed().as_secs_f64();
-        Ok(())
+        refused.map_or(Ok(()), Err)
     }
 
     /// Membranes that the tip has come through.

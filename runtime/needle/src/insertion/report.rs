@@ -67,7 +67,7 @@ pub struct InsertionReport {
     pub braked: u32,
     /// Parts in slow motion ([`crate::InsertionParams::most_tries`]).
     pub slowed: u32,
-    /// Trials of friction states: the most of any part.
+    /// Trials of friction states, those at the face of a membrane among them: the most of any part.
     pub trials: usize,
     /// Trials of all parts.
     pub trials_total: usize,

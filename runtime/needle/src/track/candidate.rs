@@ -109,7 +109,7 @@ impl<'a> Search<'a> {
         if let Some(known) = self.grips.iter().find(|g| g.0 == node) {
             return known.1;
         }
-        let fixed = self.sim.is_held(node) || self.track.foreign.contains(&node);
+        let fixed = self.sim.is_held(node) || self.track.foreign.has_node(node);
         let grip = if fixed {
             Grip::Fixed
         } else {
@@ -189,7 +189,7 @@ impl<'a> Search<'a> {
     /// The mesh with the split on top of the stack undone, if that split made the tip and undoing leaves valid tets.
     pub fn undone(&self) -> Option<Overlay<'a>> {
         let top = self.track.stack.last()?;
-        if self.track.chain.last() != Some(&top.node) {
+        if self.track.chain.last() != Some(&top.node) || self.track.built_on(self.sim.mesh(), top).is_some() {
             return None;
         }
         let mut overlay = Overlay::new(self.sim.mesh());
@@ -255,6 +255,10 @@ impl<'a> Search<'a> {
                     if chain.windows(2).any(|w| w.iter().all(|n| edge.contains(n))) {
                         continue;
                     }
+                    if self.track.foreign.has_edge(edge) {
+                        self.blocked = Some(edge[0]);
+                        continue;
+                    }
                     match split_edge(&mut overlay, edge, goal.rest, exact, self.yields()) {
                         Some(parents) => (Operation::EdgeSplit, Some(parents), NEW),
                         None => continue,
@@ -273,6 +277,16 @@ impl<'a> Search<'a> {
                     (Operation::TetSplit, Some(vec![tet]), NEW)
                 }
             };
+            if self.track.backs
+                && let Some(node) = parents
+                    .iter()
+                    .flatten()
+                    .flat_map(|t| t.corners)
+                    .find(|&c| self.track.foreign.has_node(c))
+            {
+                self.blocked = Some(node);
+                continue;
+            }
             if kept > 0 && !overlay.joined(self.track.chain[kept - 1], tip) {
                 continue;
             }
@@ -366,23 +380,12 @@ impl<'a> Search<'a> {
             }
             overlay.move_to(node, place);
             if let Some(weighed) = overlay.weigh(params.least_quality)
-                && !self.is_foreign(&overlay, &weighed)
+                && self.track.foreign.moved(&overlay).is_none()
             {
                 (candidate.overlay, candidate.weighed) = (overlay, weighed);
             }
         }
         candidate
-    }
-
-    /// Whether a change touches another track's tets.
-    fn is_foreign(&self, overlay: &Overlay, weighed: &Weighed) -> bool {
-        !self.track.foreign.is_empty()
-            && weighed
-                .changed
-                .iter()
-                .filter_map(|&t| overlay.mesh.tet(t))
-                .flat_map(|t| t.corners)
-                .any(|n| self.track.foreign.contains(&n))
     }
 
     fn offer(
@@ -406,20 +409,11 @@ impl<'a> Search<'a> {
         if !exact && overlay.volume_change(&weighed.changed) > limit {
             return;
         }
-        if !self.track.foreign.is_empty() {
-            // A node joined where it is changes no tet now, but all around it will be in the way of the other.
-            let joined = overlay.mesh.around(tip).iter().map(|e| e.tet);
-            let corners = weighed
-                .changed
-                .iter()
-                .copied()
-                .chain(joined.filter(|_| operation == Operation::Join))
-                .filter_map(|t| overlay.mesh.tet(t))
-                .flat_map(|t| t.corners);
-            if let Some(node) = corners.chain([tip]).find(|n| self.track.foreign.contains(n)) {
-                self.blocked = Some(node);
-                return;
-            }
+        // A node joined where it is does not move now, but will.
+        let joined = (operation == Operation::Join && self.track.foreign.has_node(tip)).then_some(tip);
+        if let Some(node) = joined.or_else(|| self.track.foreign.moved(&overlay)) {
+            self.blocked = Some(node);
+            return;
         }
         out.push(Candidate {
             overlay,

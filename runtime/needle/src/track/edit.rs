@@ -3,6 +3,7 @@
 use super::candidate::{Candidate, Search};
 use super::grip::Dent;
 use super::locate::state_at;
+use super::others::tets_around;
 use super::overlay::{NEW, Overlay};
 use super::{Displaced, Operation, Split, Track, TrackReport};
 use crate::NeedleError;
@@ -148,6 +149,7 @@ impl Track {
                 node: tip,
                 home: dented.flatten().unwrap_or(sim.mesh().rest()[tip as usize]),
                 parents,
+                children: tets_around(sim.mesh(), tip),
                 positions,
             });
         }
@@ -212,6 +214,9 @@ impl Track {
     /// inverted, moves back first the nodes that are not on the needle, then all, to where they were before the split: that mesh
     /// was valid.
     pub(super) fn undo(&mut self, sim: &mut Simulation, report: &mut TrackReport) -> Result<(), NeedleError> {
+        if let Some(node) = self.stack.last().and_then(|top| self.built_on(sim.mesh(), top)) {
+            return Err(NeedleError::TrackBelow { node });
+        }
         let Some(top) = self.stack.pop() else {
             return Ok(());
         };
@@ -227,26 +232,38 @@ impl Track {
                 let rest = sim.mesh().rest();
                 let steps: [&dyn Fn(u32) -> bool; 3] =
                     [&|n| link(n) && off_needle(n), &off_needle, &|_| true];
-                for (k, back) in steps.iter().enumerate() {
-                    overlay.moved = before
-                        .iter()
-                        .filter(|&(&n, &p)| back(n) && rest[n as usize] != p)
-                        .map(|(&n, &p)| (n, p))
-                        .collect();
-                    // The last of the three is valid whatever its qualities are.
-                    let least = if k == 2 {
-                        f64::NEG_INFINITY
-                    } else {
-                        self.params.least_quality
-                    };
-                    if overlay.weigh(least).is_some() {
-                        break;
+                // Nodes that other tracks claim only where nothing else helps.
+                let spares: &[bool] = if self.foreign.is_empty() {
+                    &[false]
+                } else {
+                    &[true, false]
+                };
+                'found: for &spare in spares {
+                    for (k, back) in steps.iter().enumerate() {
+                        let stays = |n: u32| spare && self.foreign.has_node(n);
+                        overlay.moved = before
+                            .iter()
+                            .filter(|&(&n, &p)| back(n) && !stays(n) && rest[n as usize] != p)
+                            .map(|(&n, &p)| (n, p))
+                            .collect();
+                        // The last of the three is valid whatever its qualities are.
+                        let least = match k == 2 && !spare {
+                            true => f64::NEG_INFINITY,
+                            false => self.params.least_quality,
+                        };
+                        if overlay.weigh(least).is_some() {
+                            break 'found;
+                        }
                     }
                 }
             }
             (overlay.removed, overlay.added, overlay.moved)
         };
         let (removed, added, moved) = plan;
+        if let Err(e) = self.may_move_back(&moved) {
+            self.stack.push(top);
+            return Err(e);
+        }
         let mut moves = Vec::with_capacity(moved.len());
         for (node, rest) in moved {
             moves.push((node, state_of(sim, node, rest)?));

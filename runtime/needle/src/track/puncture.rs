@@ -3,12 +3,12 @@
 use super::candidate::{Goal, Motion, Search, Site, best};
 use super::edit::Change;
 use super::locate::{blend, state_at};
-use super::{Track, TrackParams, TrackReport, shifted};
+use super::{Claims, Track, TrackParams, TrackReport, shifted};
 use crate::NeedleError;
 use crate::error::check_finite;
 use glam::DVec3;
 use palpate_fem::Simulation;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 impl Track {
     /// Makes a node where the needle enters: the place of the tissue's surface nearest to a world point (mm). It is entry and tip at
@@ -25,18 +25,18 @@ impl Track {
         surface_point: DVec3,
         params: TrackParams,
     ) -> Result<Self, NeedleError> {
-        Self::puncture_apart(sim, surface_point, params, [])
+        Self::puncture_apart(sim, surface_point, params, Claims::default())
     }
 
-    /// As [`Track::puncture`], keeping off the nodes of other tracks ([`Track::owned`]).
+    /// As [`Track::puncture`], leaving to other tracks what they claim ([`Track::claims`]).
     ///
     /// # Errors
-    /// As [`Track::puncture`]; [`NeedleError::TrackConflict`] where only another track's tets could be split.
+    /// As [`Track::puncture`]; [`NeedleError::TrackConflict`] where only what another track needs could be changed.
     pub fn puncture_apart(
         sim: &mut Simulation,
         surface_point: DVec3,
         params: TrackParams,
-        others: impl IntoIterator<Item = u32>,
+        others: Claims,
     ) -> Result<Self, NeedleError> {
         params.check()?;
         check_finite("surface point", &[surface_point])?;
@@ -45,7 +45,8 @@ impl Track {
             chain: Vec::new(),
             stack: Vec::new(),
             originals: BTreeMap::new(),
-            foreign: others.into_iter().collect::<BTreeSet<u32>>(),
+            foreign: others,
+            backs: false,
         };
         let refused = NeedleError::OutsideTissue {
             point: surface_point.to_array(),

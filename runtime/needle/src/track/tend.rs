@@ -111,7 +111,7 @@ impl Track {
             _ => None,
         };
         let tets = overlay.holding(&[node]);
-        let foreign = |n: &u32| self.foreign.contains(n);
+        let foreign = |n: &u32| self.foreign.has_node(*n);
         if !self.foreign.is_empty() && tets.iter().flat_map(|t| t.1.corners).any(|n| foreign(&n)) {
             return None;
         }

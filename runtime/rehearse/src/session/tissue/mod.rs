@@ -15,7 +15,7 @@ use carried::Carried;
 use glam::{DMat3, DVec3, Vec3};
 use needles::{Plan, at_fault, failed};
 use palpate_fem::{Place, Simulation, Solid, StepReport, TissueMesh};
-use palpate_needle::{Event, Insertion, InsertionReport};
+use palpate_needle::{Event, Insertion, InsertionReport, NeedleError};
 use palpate_pbd::{BodyInfo, Collider, ContactReport, Pose, Shape};
 use std::time::Instant;
 
@@ -226,17 +226,24 @@ impl TissueEngine {
                 let found = match both.step(&motions) {
                     Ok(found) => found,
                     Err(e) => {
-                        let (which, other) = at_fault(&e, both);
+                        let which = at_fault(&e, both);
                         let plan = &self.plans[which];
                         let key = format!("needle[{which}]{}", plan.motion_key(self.step));
-                        return Err(match other {
-                            Some(o) => RehearseError::NeedlesMeet {
-                                name: plan.name.clone(),
-                                other: self.plans[o].name.clone(),
-                                at: format!("{:.1}", both.needles()[which].tip() + self.origin),
-                                key,
-                            },
-                            None => failed(&plan.name, key, e, self.origin),
+                        let named = |o: usize, at: DVec3| {
+                            let name = plan.name.clone();
+                            let other = self.plans[o].name.clone();
+                            (name, other, format!("{:.1}", at + self.origin))
+                        };
+                        return Err(match e {
+                            NeedleError::MeetsNeedle { other, at, .. } => {
+                                let (name, other, at) = named(other, at);
+                                RehearseError::NeedlesMeet { name, other, at, key }
+                            }
+                            NeedleError::WithdrawFirst { other, at, .. } => {
+                                let (name, other, at) = named(other, at);
+                                RehearseError::NeedleBelow { name, other, at, key }
+                            }
+                            e => failed(&plan.name, key, e, self.origin),
                         });
                     }
                 };

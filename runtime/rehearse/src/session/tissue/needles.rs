@@ -185,6 +185,15 @@ pub(super) fn failed(name: &str, key: String, error: NeedleError, origin: DVec3)
             region,
             at: at + origin,
         },
+        NeedleError::CrossesItself { needle, at } => NeedleError::CrossesItself {
+            needle,
+            at: at + origin,
+        },
+        NeedleError::Folded { node, at, angle_deg } => NeedleError::Folded {
+            node,
+            at: at + origin,
+            angle_deg,
+        },
         other => other,
     };
     RehearseError::Needle {
@@ -194,16 +203,9 @@ pub(super) fn failed(name: &str, key: String, error: NeedleError, origin: DVec3)
     }
 }
 
-/// The needle that an error in a step is about, and for two that meet the other one.
-pub(super) fn at_fault(error: &NeedleError, both: &Insertion) -> (usize, Option<usize>) {
+/// The needle that an error in a step is about.
+pub(super) fn at_fault(error: &NeedleError, both: &Insertion) -> usize {
     let needles = both.needles();
-    let nearest = |node: u32, not: Option<usize>| {
-        let at = both.tissue().positions()[node as usize];
-        (0..needles.len()).filter(|&k| Some(k) != not).min_by(|&a, &b| {
-            let far = |k: usize| needles[k].tip().distance(at);
-            far(a).total_cmp(&far(b))
-        })
-    };
     // The sharpest bend between two edges, for what says only that something is bent too far.
     let bend = |k: usize| {
         let x = needles[k].rod().position();
@@ -211,17 +213,14 @@ pub(super) fn at_fault(error: &NeedleError, both: &Insertion) -> (usize, Option<
         x.windows(3).map(turn).fold(0.0, f64::max)
     };
     match error {
-        NeedleError::LeavesTissue { needle, .. } | NeedleError::HitsRigid { needle, .. } => (*needle, None),
-        NeedleError::TrackConflict { node } => {
-            let other = (0..needles.len()).find(|&k| needles[k].chain().contains(node));
-            match (nearest(*node, other), other) {
-                (Some(k), Some(o)) => (k, Some(o)),
-                (k, _) => (k.unwrap_or(0), None),
-            }
-        }
+        NeedleError::LeavesTissue { needle, .. }
+        | NeedleError::HitsRigid { needle, .. }
+        | NeedleError::CrossesItself { needle, .. }
+        | NeedleError::MeetsNeedle { needle, .. }
+        | NeedleError::WithdrawFirst { needle, .. } => *needle,
         _ => {
             let most = (0..needles.len()).max_by(|&a, &b| bend(a).total_cmp(&bend(b)).then(b.cmp(&a)));
-            (most.unwrap_or(0), None)
+            most.unwrap_or(0)
         }
     }
 }
