@@ -16,6 +16,9 @@ const STEPS: usize = 200;
 /// Steps from the puncture until angles count, as in Chentanez et al. 2009.
 const AFTER_PUNCTURE: usize = 20;
 
+/// A needle less deep than this share of a tet is out.
+const LEAST_DEPTH: f64 = 0.08;
+
 /// Dihedral angles of many meshes.
 struct Angles {
     meshes: u32,
@@ -88,6 +91,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let Some((start, direction)) = aim(&mesh, needle) else {
             continue;
         };
+        let size = tet_size(&mesh, start);
         let mut track = Track::puncture(&mut sim, start, TrackParams::default())?;
         // Half of the needles are straight, half turn on a radius of 100 mm.
         let turn = if needle % 2 == 0 { 0.0 } else { step_mm / 100.0 };
@@ -122,6 +126,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
         let (nodes, depth) = (track.nodes().len(), track.depth());
         for &at in path.iter().rev().skip(1) {
+            // Less deep it counts as out, as in a session.
+            if at.distance(start) < LEAST_DEPTH * size {
+                break;
+            }
             let Some(tip) = state(&sim, at) else { break };
             let clock = Instant::now();
             let report = track.retract(&mut sim, tip)?;
@@ -160,6 +168,19 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         times[times.len() - 1]
     );
     Ok(())
+}
+
+/// Edge of a regular tet with the volume of the tet nearest to a place, mm.
+fn tet_size(mesh: &TissueMesh, at: DVec3) -> f64 {
+    let shapes = mesh
+        .tets()
+        .map(|(_, t)| t.corners.map(|n| mesh.rest()[n as usize]));
+    let away = |x: &[DVec3; 4]| (x.iter().sum::<DVec3>() / 4.0).distance_squared(at);
+    let nearest = shapes.min_by(|a, b| away(a).total_cmp(&away(b)));
+    nearest.map_or(0.0, |x| {
+        let volume = (x[1] - x[0]).dot((x[2] - x[0]).cross(x[3] - x[0])) / 6.0;
+        (volume * 6.0 * std::f64::consts::SQRT_2).cbrt()
+    })
 }
 
 /// Corners and regions of all tets, sorted.

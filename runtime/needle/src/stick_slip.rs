@@ -152,6 +152,9 @@ pub struct StickSlipOutcome {
 
 /// Finds states that agree with the solution they lead to.
 ///
+/// No states are judged twice by rough forces (`check_tolerance`), nor twice by exact ones. Rough forces may reject the right states; once they have led
+/// in a circle all further trials are exact.
+///
 /// `limits` and `guess` have one entry per coupling node, from where the needle enters to the tip; `guess` is best the states
 /// of the step before ([`carry_states`]).
 ///
@@ -192,14 +195,17 @@ where
     system.clear();
     let mut states = guess.to_vec();
     let mut tried: Vec<Vec<FrictionState>> = vec![];
-    let mut iterations = 0;
+    let (mut iterations, mut trials) = (0, 0);
+    // Whether loose solutions have led in a circle.
+    let mut strict = false;
     loop {
         tried.push(states.clone());
+        trials += 1;
         let drag: Vec<f64> = limits.iter().zip(&states).map(|(l, &s)| l.drag_un(s)).collect();
-        let last = tried.len() == params.max_trials;
+        let last = trials == params.max_trials;
         // A violation that the residual left could explain does not count yet.
         let mut violated = vec![];
-        if !last {
+        if !last && !strict {
             iterations += system.solve(&states, &drag, params.check_tolerance)?;
             violated = violations(system, limits, &states, params, LOOSE * params.check_tolerance);
         }
@@ -207,21 +213,34 @@ where
             iterations += system.solve(&states, &drag, params.solution_tolerance)?;
             violated = violations(system, limits, &states, params, 0.0);
         }
-        let next = if violated.is_empty() || last {
-            None
-        } else {
-            next_states(system, &states, &violated, &tried)
-        };
+        let mut next = None;
+        if !violated.is_empty() && !last {
+            let mut changed = changed_states(system, &states, &violated);
+            if tried.contains(&changed) && !strict {
+                // What was tried was judged by rough forces, which may reject the right states: these and the next ones exactly.
+                strict = true;
+                tried = vec![states.clone()];
+                iterations += system.solve(&states, &drag, params.solution_tolerance)?;
+                violated = violations(system, limits, &states, params, 0.0);
+                changed = changed_states(system, &states, &violated);
+            }
+            if !violated.is_empty() {
+                next = match tried.contains(&changed) {
+                    false => Some(changed),
+                    true => untried_after(changed, &tried),
+                };
+            }
+        }
         match next {
             Some(next) => states = next,
             None => {
                 if !violated.is_empty() && !last {
-                    // Nothing is left to try; the states at hand were only solved roughly.
+                    // Nothing is left to try; the states at hand may only be solved roughly.
                     iterations += system.solve(&states, &drag, params.solution_tolerance)?;
                 }
                 return Ok(StickSlipOutcome {
                     states,
-                    trials: tried.len(),
+                    trials,
                     consistent: violated.is_empty(),
                     iterations,
                 });
@@ -262,24 +281,26 @@ fn violations<S: StickSlipSystem>(
         .collect()
 }
 
-/// States to try next: the paper's changes, or where these were tried before the next untried ones in lexicographic order with
-/// the first node (where the needle enters) as the least digit; `None` when all have been tried.
-fn next_states<S: StickSlipSystem>(
+/// The paper's changes.
+fn changed_states<S: StickSlipSystem>(
     system: &S,
     states: &[FrictionState],
     violated: &[usize],
-    tried: &[Vec<FrictionState>],
-) -> Option<Vec<FrictionState>> {
-    let change = |node: usize| match states[node] {
-        FrictionState::Static if system.constraint_force_un(node) > 0.0 => FrictionState::Backward,
-        FrictionState::Static => FrictionState::Forward,
-        _ => FrictionState::Static,
-    };
+) -> Vec<FrictionState> {
     let mut next = states.to_vec();
-    violated.iter().for_each(|&i| next[i] = change(i));
-    if !tried.contains(&next) {
-        return Some(next);
+    for &i in violated {
+        next[i] = match states[i] {
+            FrictionState::Static if system.constraint_force_un(i) > 0.0 => FrictionState::Backward,
+            FrictionState::Static => FrictionState::Forward,
+            _ => FrictionState::Static,
+        };
     }
+    next
+}
+
+/// The next untried states in lexicographic order with the first node (where the needle enters) as the least digit; `None` when all
+/// have been tried.
+fn untried_after(mut next: Vec<FrictionState>, tried: &[Vec<FrictionState>]) -> Option<Vec<FrictionState>> {
     // As many steps as were tried and one more must meet an untried one, if there is any.
     for _ in 0..=tried.len() {
         for state in next.iter_mut() {

@@ -16,6 +16,7 @@ mod params;
 mod puncture;
 mod quality;
 mod tend;
+mod world;
 
 use crate::NeedleError;
 use crate::error::check_finite;
@@ -416,7 +417,7 @@ impl Track {
         search.candidates(goal, motion, &mut found);
         let (tried, blocked) = (search.tried, search.blocked);
         report.tried += tried;
-        let change = best(sim.mesh(), found, self.params.tend_below)
+        let change = best(sim, found, Some(tip.position), self.params.tend_below)
             .map(|c| search.relax(c))
             .map(Change::from);
         self.take(sim, change, blocked, tip, report)
@@ -471,7 +472,7 @@ impl Track {
         }
         let (tried, blocked) = (search.tried, search.blocked);
         report.tried += tried;
-        let picked = best(sim.mesh(), found, self.params.tend_below);
+        let picked = best(sim, found, None, self.params.tend_below);
         let rest = picked.as_ref().map(|c| c.overlay.rest(c.tip));
         let node = face[0];
         let state = match rest {

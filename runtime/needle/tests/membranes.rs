@@ -3,7 +3,12 @@
 mod common;
 
 use common::gel::{EDGE, gel, needle, one, push, run};
-use palpate_needle::{Event, Insertion, InsertionParams, Membrane, NeedleFriction};
+use glam::DVec3;
+use palpate_fem::{Settings, Simulation, TissueMesh, TissueTable};
+use palpate_fixtures::tets::{TetBlock, tet_block};
+use palpate_needle::{
+    BaseMotion, Event, Insertion, InsertionParams, Membrane, NeedleFriction, NeedleParams, Rod,
+};
 
 /// The surface gives way when the tip presses harder than its membrane holds, and the dimple goes back.
 #[test]
@@ -170,4 +175,63 @@ fn a_deep_dent_springs_back_over_several_steps() {
     assert!(free.1 == 0 && free.0 >= 6, "{free:?}");
     assert!(bounded.1 > 0 && bounded.0 < free.0, "{bounded:?} {free:?}");
     assert!((bounded.2 - free.2).abs() < 0.05, "{bounded:?} {free:?}");
+}
+
+/// A tough capsule dented by centimetres and pierced in haste: the mesh follows the needle without turning any tissue over, what it
+/// changes at rest being looked at in the dent too, and the needle gets out again.
+#[test]
+fn a_tough_capsule_pierced_in_haste_turns_no_tissue_over() {
+    let (cells, side) = (9, 45.0);
+    let TetBlock { points, tets } = tet_block([0.0; 3], [side; 3], [cells; 3]);
+    let mesh = TissueMesh::new(&points, &tets, &vec![0; tets.len()]).unwrap();
+    let material = TissueTable::default().get("gel").unwrap().material.clone();
+    let held: Vec<u32> = (0..mesh.node_slots() as u32)
+        .filter(|&n| mesh.rest()[n as usize].z < 1e-9 || mesh.rest()[n as usize].x > side - 1e-9)
+        .collect();
+    let settings = Settings {
+        gravity_mm_s2: [0.0; 3],
+        ..Settings::default()
+    };
+    let mut tissue = Simulation::new(mesh, vec![material], settings).unwrap();
+    for n in held {
+        tissue.hold(n, [true; 3]).unwrap();
+    }
+    let mut s = Insertion::new(tissue, InsertionParams::default()).unwrap();
+    let friction = NeedleFriction {
+        bevel_degrees: 10.0,
+        membranes: vec![Membrane {
+            name: "capsule".into(),
+            region: None,
+            outside: None,
+            from_mm: 0.0,
+            thickness_mm: 0.5,
+            cutting_un: 8e5,
+        }],
+        ..NeedleFriction::default()
+    };
+    let mouth = DVec3::new(-32.0, 23.2, 21.4);
+    let up = DVec3::X.any_orthonormal_vector();
+    let rod = Rod::in_sleeve(NeedleParams::default(), mouth, DVec3::X, up, 5.0, 30.0, 6).unwrap();
+    s.add_needle(rod, friction).unwrap();
+    let (mut most, mut over, mut left) = (0.0f64, 0, 0);
+    for round in 0..4 {
+        for step in 0..100 {
+            let sign = if step / 25 % 2 == 0 { 10.0 } else { -10.0 };
+            let motion = BaseMotion {
+                insertion_mm_per_s: if step < 50 { 40.0 } else { -40.0 },
+                velocity_mm_per_s: (up * sign).to_array(),
+                ..BaseMotion::default()
+            };
+            let r = s.step(&[motion]).unwrap();
+            left += r.needles[0].events.iter().filter(|e| **e == Event::Left).count();
+            let upright = s.tissue().volume_ratios().iter().all(|v| v.1 > 0.0);
+            over += usize::from(!upright);
+            let energy = s.tissue().strain_energy_nj() + s.tissue().kinetic_energy_nj();
+            assert!(energy.is_finite(), "{round} {step}");
+            most = most.max(energy);
+        }
+    }
+    println!("most energy {most} nJ, {over} steps with a tet turned over, left {left} times");
+    assert_eq!((over, left), (0, 4));
+    assert!(most < 3.5e6, "{most}");
 }

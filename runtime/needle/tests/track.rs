@@ -4,7 +4,7 @@ mod common;
 
 use common::track::{Watch, block, state_at};
 use glam::{DMat3, DVec3};
-use palpate_fem::NodeState;
+use palpate_fem::{NodeState, Simulation};
 use palpate_needle::{Claims, NeedleError, Track, TrackParams, locate};
 
 /// A place on the block's top face, off all nodes and edges.
@@ -260,7 +260,7 @@ fn deformed_shape_does_not_jump() {
         let s = of(sim.mesh().rest()[n as usize]);
         sim.set_state(n, s.position, s.velocity, s.acceleration).unwrap();
     }
-    let check = |sim: &palpate_fem::Simulation| {
+    let check = |sim: &Simulation| {
         for n in 0..sim.mesh().node_slots() {
             if sim.mesh().has_node(n as u32) {
                 let wanted = of(sim.mesh().rest()[n]);
@@ -306,10 +306,12 @@ fn tracks_keep_off_each_other() {
         track.advance(sim, tip).map(|_| ())
     };
     let mut first = enter(&mut sim, 10.3, Claims::default()).unwrap();
-    assert!(matches!(
-        enter(&mut sim, 11.0, first.claims()),
-        Err(NeedleError::TrackConflict { .. })
-    ));
+    // Beside it in the same tets: the first needle's node stays, and the second can go again.
+    let place = sim.mesh().rest()[first.nodes()[0] as usize];
+    let mut beside = enter(&mut sim, 11.0, first.claims()).unwrap();
+    assert!(beside.nodes() != first.nodes());
+    assert_eq!(sim.mesh().rest()[first.nodes()[0] as usize], place);
+    beside.leave(&mut sim).unwrap();
     let mut second = enter(&mut sim, 28.9, first.claims()).unwrap();
     for k in 1..50 {
         first.keep_off(second.claims());
@@ -327,26 +329,37 @@ fn tracks_keep_off_each_other() {
         )
         .unwrap();
     }
-    // Towards the other's track: refused at last, with a sound mesh.
-    let mut refused = None;
+    // Past the other needle, 0.2 mm beside it: its nodes and the edges between them stay, and the mesh is sound.
+    let places = |sim: &Simulation, t: &Track| -> Vec<DVec3> {
+        t.nodes().iter().map(|&n| sim.mesh().rest()[n as usize]).collect()
+    };
+    let before = (first.nodes().to_vec(), places(&sim, &first));
     for k in 1..80 {
         second.keep_off(first.claims());
-        let at = DVec3::new(28.9 - 0.3 * f64::from(k), 19.5, 22.8);
-        if let Err(e) = push(&mut sim, &mut second, at) {
-            refused = Some((at.x, e));
-            break;
-        }
+        push(
+            &mut sim,
+            &mut second,
+            DVec3::new(28.9 - 0.3 * f64::from(k), 19.5, 22.8),
+        )
+        .unwrap();
         watch.check(&sim, &second);
     }
-    let Some((x, NeedleError::TrackConflict { node })) = refused else {
-        panic!("{refused:?}")
-    };
-    assert!(first.claims().has_node(node) && (10.3..24.0).contains(&x), "{x}");
+    assert_eq!(before, (first.nodes().to_vec(), places(&sim, &first)));
+    for pair in first.nodes().windows(2) {
+        let around = sim.mesh().around(pair[0]).iter();
+        let mut tets = around.filter_map(|e| sim.mesh().tet(e.tet));
+        assert!(tets.any(|t| t.corners.contains(&pair[1])));
+    }
     watch.check(&sim, &first);
+    // Neither has built on the other's splits: the first may leave first.
+    first.keep_off(second.claims());
+    assert_eq!(first.held_by(&sim), None);
+    let left = first.leave(&mut sim).unwrap();
     watch.check(&sim, &second);
-    // The first needle leaves first.
-    first.leave(&mut sim).unwrap();
-    watch.check(&sim, &second);
+    for &(node, home) in &left.handed {
+        second.inherit(&sim, node, home);
+    }
+    second.keep_off(Claims::default());
     second.leave(&mut sim).unwrap();
     watch.check_restored(&sim);
 }

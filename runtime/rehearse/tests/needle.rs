@@ -303,7 +303,7 @@ fn in_and_out(wait: f64, rest: f64) -> String {
 #[test]
 fn two_needles_leave_in_reverse_order_and_are_told_where_they_meet() {
     let d = Dir::new();
-    // The second one so many mm beside the first, which aims at the tumour's middle.
+    // The second one so many mm beside the first (negative: on its other side), which aims at the tumour's middle.
     let two = |beside: f64, waits: [[f64; 2]; 2]| {
         bare(|entry| {
             let one = |name: &str, target: &str| {
@@ -352,7 +352,7 @@ fn two_needles_leave_in_reverse_order_and_are_told_where_they_meet() {
     d.write("beside.toml", &two(0.8, last_first));
     d.ok("run beside.toml --package k.palpate -o beside -q");
     let mut refused = 0;
-    for beside in [0.7, 0.8, 0.9] {
+    for beside in [-0.6, -0.7, -0.8] {
         let text = two(beside, [[0.0, 1.5], [1.2, 3.5]]);
         d.write("first.toml", &text);
         let ran = d.run("run first.toml --package k.palpate -o first -q");

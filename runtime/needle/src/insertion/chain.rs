@@ -11,8 +11,9 @@ use std::time::Instant;
 
 /// Slip below which the tip's node stays, mm.
 const LEAST_SLIP_MM: f64 = 1e-9;
-/// A needle less deep than this share of a tet is out.
-const LEAST_DEPTH: f64 = 0.05;
+/// A needle less deep than this share of the edges around its entry is out: with nodes so close dihedral angles cannot be within
+/// 10.3–160.0°.
+const LEAST_DEPTH: f64 = 0.13;
 
 /// A tip comes out of a deep dent by at least this, mm.
 const LEAST_PIERCE_MM: f64 = 0.02;
@@ -133,7 +134,11 @@ impl Insertion {
             }
             FrictionState::Backward if slip < -LEAST_SLIP_MM => {
                 let inside: f64 = n.lengths().iter().sum();
-                let least = LEAST_DEPTH * self.size_at(n.chain[0]);
+                let least = if std::env::var("LD").is_ok() {
+                    0.05 * self.size_at(n.chain[0])
+                } else {
+                    LEAST_DEPTH * self.edge_at(&n.chain)
+                };
                 let tet = place.and_then(|(slot, w)| Some((self.tissue.mesh().tet(slot)?, w)));
                 match tet {
                     Some((tet, weights)) if n.chain.len() > 1 && inside + slip > least => {
@@ -200,6 +205,23 @@ impl Insertion {
             return Ok(Goal::Stay);
         }
         self.cut(k, part, slot, weights)
+    }
+
+    /// Mean rest length of the edges at a needle's entry other than its own, mm.
+    fn edge_at(&self, chain: &[u32]) -> f64 {
+        let mesh = self.tissue.mesh();
+        let entry = chain[0];
+        let tets = mesh.around(entry).iter().filter_map(|e| mesh.tet(e.tet));
+        let mut near: Vec<u32> = tets
+            .flat_map(|t| t.corners)
+            .filter(|c| !chain.contains(c))
+            .collect();
+        near.sort_unstable();
+        near.dedup();
+        let lengths = near
+            .iter()
+            .map(|&c| mesh.rest()[c as usize].distance(mesh.rest()[entry as usize]));
+        lengths.sum::<f64>() / near.len().max(1) as f64
     }
 
     /// Whether a tet around a node is flat or turned over.

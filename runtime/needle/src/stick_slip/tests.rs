@@ -368,7 +368,8 @@ fn states_carry_from_step_to_step() {
     assert!(mean < 1.3 && consistent == 400, "{mean} {consistent}");
 }
 
-/// A system whose answers contradict every state: trials end at the bound, or when all states were tried once each.
+/// A system whose answers contradict every state: trials end at the bound, or when all states were tried. None is judged twice by exact
+/// forces, nor twice by rough ones.
 #[test]
 fn never_the_same_states_twice() {
     struct Contrary(Vec<Vec<FrictionState>>);
@@ -388,7 +389,7 @@ fn never_the_same_states_twice() {
             -self.0[self.0.len() - 1][node].sign()
         }
     }
-    for (q, max_trials, expected) in [(2, 100, 9), (3, 100, 27), (5, 10, 10)] {
+    for (q, max_trials, all) in [(2, 100, Some(9)), (3, 100, Some(27)), (5, 10, None)] {
         let mut system = Contrary(vec![]);
         let limits = vec![
             FrictionLimit {
@@ -402,10 +403,15 @@ fn never_the_same_states_twice() {
             ..Default::default()
         };
         let outcome = solve_stick_slip(&mut system, &limits, &vec![Static; q], &params).unwrap();
-        assert_eq!((outcome.trials, outcome.consistent), (expected, false));
-        assert_eq!(system.0.len(), expected);
-        for (i, s) in system.0.iter().enumerate() {
-            assert!(!system.0[..i].contains(s));
+        assert_eq!((outcome.trials, outcome.consistent), (system.0.len(), false));
+        let times = |s| system.0.iter().filter(|t| *t == s).count();
+        assert!(system.0.iter().all(|s| times(s) <= 2));
+        // Those that come twice were in the first circle, that of rough forces.
+        let repeated = system.0.iter().filter(|s| times(*s) == 2).count() / 2;
+        assert!(repeated <= 2, "{repeated}");
+        match all {
+            Some(all) => assert_eq!(outcome.trials, all + repeated),
+            None => assert_eq!(outcome.trials, max_trials),
         }
     }
 }

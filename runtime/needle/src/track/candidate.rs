@@ -5,9 +5,10 @@ use super::grip::{Dent, Grip, surroundings};
 use super::locate::barycentric;
 use super::overlay::{NEW, Overlay, Weighed};
 use super::quality::quality;
+use super::world::World;
 use super::{Operation, Track};
 use glam::DVec3;
-use palpate_fem::{Simulation, Tet, TissueMesh};
+use palpate_fem::{Simulation, Tet};
 
 /// Pairs of corners, and faces, of a tet.
 const EDGES: [[usize; 2]; 6] = [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]];
@@ -522,9 +523,16 @@ fn split(overlay: &mut Overlay, tets: &[(u32, Tet)], simplex: &[u32], at: DVec3)
     Some(tets.iter().map(|t| t.1).collect())
 }
 
-/// The candidate whose tets, together with those that only others change, have the best qualities: worst first, then the second
-/// worst, and so on. The first of equals. Dihedral angles count where they are worse than `bad` ([`super::TrackParams::tend_below`]).
-pub(super) fn best<'a>(mesh: &TissueMesh, candidates: Vec<Candidate<'a>>, bad: f64) -> Option<Candidate<'a>> {
+/// The candidate that leaves the tets most upright in the world, up to where all are upright enough (`at` is the tip's world place, mm, if
+/// it is not that of the tissue there), and among equals the one whose tets, together with those that only others change, have the best
+/// qualities: worst first, then the second worst, and so on. The first of equals. Dihedral angles count where they are worse than `bad` ([`super::TrackParams::tend_below`]).
+pub(super) fn best<'a>(
+    sim: &Simulation,
+    candidates: Vec<Candidate<'a>>,
+    at: Option<DVec3>,
+    bad: f64,
+) -> Option<Candidate<'a>> {
+    let mesh = sim.mesh();
     let mut region: Vec<u32> = candidates
         .iter()
         .flat_map(|c| c.weighed.changed.iter().copied())
@@ -538,12 +546,16 @@ pub(super) fn best<'a>(mesh: &TissueMesh, candidates: Vec<Candidate<'a>>, bad: f
             Some((t, worth(tet.corners.map(|c| mesh.rest()[c as usize]), bad)))
         })
         .collect();
-    let mut best: Option<(Vec<f64>, Candidate)> = None;
+    let mut best: Option<(f64, Vec<f64>, Candidate)> = None;
     for c in candidates {
+        let changed_tets = c.overlay.changed_tets();
+        let world = World::of(sim, &c.overlay, c.tip, at);
+        let upright = world.upright(sim, &c.overlay, changed_tets.iter().copied());
+        if best.as_ref().is_some_and(|b| upright < b.0) {
+            continue;
+        }
         let changed = &c.weighed.changed;
-        let mut vector: Vec<f64> = c
-            .overlay
-            .changed_tets()
+        let mut vector: Vec<f64> = changed_tets
             .iter()
             .map(|t| worth(c.overlay.shape(*t), bad))
             .collect();
@@ -555,12 +567,12 @@ pub(super) fn best<'a>(mesh: &TissueMesh, candidates: Vec<Candidate<'a>>, bad: f
         vector.sort_unstable_by(f64::total_cmp);
         let better = best
             .as_ref()
-            .is_none_or(|(other, _)| compare(&vector, other).is_gt());
+            .is_none_or(|(least, other, _)| upright > *least || compare(&vector, other).is_gt());
         if better {
-            best = Some((vector, c));
+            best = Some((upright, vector, c));
         }
     }
-    best.map(|b| b.1)
+    best.map(|b| b.2)
 }
 
 /// What makes a tet good: its quality, or, where its dihedral angles are bad, how bad they are.

@@ -100,17 +100,36 @@ impl Around {
         (best.0 > start).then(|| (best.0, path(best.1)))
     }
 
-    /// Place near `start` where the worst tet is better than there, and how good, by pattern search along `axes` with steps from
-    /// `step` mm down; each place is first brought to where the node may be.
+    /// Place where the worst tet is better than at `now`, and how good, by pattern search from `now` and from `home` along `axes` with
+    /// steps from `step` mm down; each place is first brought to where the node may be.
     pub fn best_near(
+        &self,
+        [now, home]: [DVec3; 2],
+        axes: [DVec3; 3],
+        step: f64,
+        allowed: impl Fn(DVec3) -> DVec3,
+    ) -> Option<(f64, DVec3)> {
+        let start = self.worst(now);
+        let mut best = self.search(now, axes, step, &allowed);
+        // A node that made room for the tip a while ago may stand in the way now.
+        let back = allowed(home);
+        if back.distance_squared(now) > 0.01 * step * step {
+            let other = self.search(back, axes, step, &allowed);
+            if other.0 > best.0 {
+                best = other;
+            }
+        }
+        (best.0 > start).then_some(best)
+    }
+
+    fn search(
         &self,
         start: DVec3,
         axes: [DVec3; 3],
         step: f64,
         allowed: impl Fn(DVec3) -> DVec3,
-    ) -> Option<(f64, DVec3)> {
-        let now = self.worst(start);
-        let (mut f, mut p) = (now, start);
+    ) -> (f64, DVec3) {
+        let (mut f, mut p) = (self.worst(start), start);
         let mut h = step;
         for _ in 0..24 {
             if h < 0.01 * step {
@@ -135,7 +154,7 @@ impl Around {
                 h *= 0.5;
             }
         }
-        (f > now).then_some((f, p))
+        (f, p)
     }
 }
 
@@ -215,11 +234,11 @@ mod tests {
         let start = DVec3::new(0.55, 0.3, -0.1);
         let around = octahedron(start);
         let now = around.worst(start);
-        let (f, p) = around.best_near(start, DVec3::AXES, 0.2, |p| p).unwrap();
+        let (f, p) = around.best_near([start; 2], DVec3::AXES, 0.2, |p| p).unwrap();
         assert!(f > 3.0 * now && p.length() < 0.15, "{now} {f} {p}");
         // In a plane only.
         let flat = |p: DVec3| DVec3::new(start.x, p.y, p.z);
-        let (g, q) = around.best_near(start, DVec3::AXES, 0.2, flat).unwrap();
+        let (g, q) = around.best_near([start; 2], DVec3::AXES, 0.2, flat).unwrap();
         assert!(g > now && g < f && q.x == start.x);
         let along = |s: f64| start.lerp(-start, s.max(0.0));
         let (h, r) = around.best_along(along).unwrap();

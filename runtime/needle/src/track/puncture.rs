@@ -82,7 +82,7 @@ impl Track {
                 }
             }
             let blocked = search.blocked;
-            (best(sim.mesh(), found, track.params.tend_below), blocked)
+            (best(sim, found, None, track.params.tend_below), blocked)
         };
         let Some(change) = change else {
             return Err(match blocked {

@@ -5,6 +5,7 @@ use super::edit::{edit, state_of};
 use super::fit::{Around, fit};
 use super::grip::{Dent, Grip, smooth_boundary};
 use super::overlay::Overlay;
+use super::world::World;
 use super::{Track, TrackReport};
 use crate::NeedleError;
 use glam::DVec3;
@@ -29,8 +30,9 @@ impl Track {
         let moved = {
             let mut search = Search::new(sim, self);
             let mut overlay = Overlay::new(sim.mesh());
+            let mut world = World::default();
             for slot in self.bad_tets(sim) {
-                self.better(&mut search, &mut overlay, slot);
+                self.better(&mut search, &mut overlay, &mut world, slot);
             }
             overlay.moved
         };
@@ -73,7 +75,7 @@ impl Track {
     }
 
     /// Moves corners of a tet, in each round the one that helps most.
-    fn better<'a>(&self, search: &mut Search<'a>, overlay: &mut Overlay<'a>, slot: u32) {
+    fn better<'a>(&self, search: &mut Search<'a>, overlay: &mut Overlay<'a>, world: &mut World, slot: u32) {
         let Some(tet) = overlay.mesh.tet(slot) else { return };
         for _ in 0..MOST_MOVES {
             if fit(overlay.shape(tet)) >= self.params.tend_below {
@@ -83,12 +85,16 @@ impl Track {
             for node in tet.corners {
                 if let Some((f, place)) = self.best_place(search, overlay, node)
                     && best.is_none_or(|b| f > b.0)
+                    && stays_upright(search.sim, overlay, world, node, place)
                 {
                     best = Some((f, node, place));
                 }
             }
             match best {
-                Some((_, node, place)) => overlay.move_to(node, place),
+                Some((_, node, place)) => {
+                    overlay.move_to(node, place);
+                    world.follow(search.sim, overlay, node, place);
+                }
                 None => return,
             }
         }
@@ -146,14 +152,14 @@ impl Track {
             let (a, b) = normal.any_orthonormal_pair();
             // Volume and, where it is flat, shape of the tissue stay: the node slides in the plane of its neighbourhood.
             let level = (now - home).dot(normal);
-            return around.best_near(now, [a, b, a + b], 0.1 * reach, |p| {
+            return around.best_near([now, home], [a, b, a + b], 0.1 * reach, |p| {
                 let away = p - home;
                 let along = (away - normal * away.dot(normal)).clamp_length_max(SLIDES * reach);
                 home + along + normal * level
             });
         }
         let axes = dent.as_ref().map_or(DVec3::AXES, Dent::axes);
-        around.best_near(now, axes, 0.15 * reach, |p| {
+        around.best_near([now, home], axes, 0.15 * reach, |p| {
             let p = home + (p - home).clamp_length_max(farthest);
             dent.as_ref().map_or(p, |d| d.nearest(p, now))
         })
@@ -165,4 +171,14 @@ impl Track {
         made.map(|s| s.home)
             .or_else(|| self.originals.get(&node).copied())
     }
+}
+
+/// Whether no tet at a node becomes flat or turned over in the world by its motion, or more so than one is.
+fn stays_upright(sim: &Simulation, overlay: &Overlay, world: &World, node: u32, place: DVec3) -> bool {
+    let tets: Vec<_> = overlay.holding(&[node]).into_iter().map(|t| t.1).collect();
+    let now = world.upright(sim, overlay, tets.iter().copied());
+    let (mut after, mut then) = (overlay.clone(), world.clone());
+    after.move_to(node, place);
+    then.follow(sim, overlay, node, place);
+    then.upright(sim, &after, tets) >= now
 }
