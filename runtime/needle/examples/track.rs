@@ -17,7 +17,7 @@ const STEPS: usize = 200;
 const AFTER_PUNCTURE: usize = 20;
 
 /// A needle less deep than this share of a tet is out.
-const LEAST_DEPTH: f64 = 0.08;
+const LEAST_DEPTH: f64 = 0.13;
 
 /// Dihedral angles of many meshes.
 struct Angles {
