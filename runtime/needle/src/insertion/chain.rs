@@ -134,11 +134,7 @@ impl Insertion {
             }
             FrictionState::Backward if slip < -LEAST_SLIP_MM => {
                 let inside: f64 = n.lengths().iter().sum();
-                let least = if std::env::var("LD").is_ok() {
-                    0.05 * self.size_at(n.chain[0])
-                } else {
-                    LEAST_DEPTH * self.edge_at(&n.chain)
-                };
+                let least = LEAST_DEPTH * self.edge_at(&n.chain);
                 let tet = place.and_then(|(slot, w)| Some((self.tissue.mesh().tet(slot)?, w)));
                 match tet {
                     Some((tet, weights)) if n.chain.len() > 1 && inside + slip > least => {
