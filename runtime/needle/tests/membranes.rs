@@ -10,6 +10,18 @@ use palpate_needle::{
     BaseMotion, Event, Insertion, InsertionParams, Membrane, NeedleFriction, NeedleParams, Rod,
 };
 
+/// A membrane at the outer surface.
+fn skin(name: &str, thickness_mm: f64, cutting_un: f64) -> Membrane {
+    Membrane {
+        name: name.into(),
+        region: None,
+        outside: None,
+        from_mm: 0.0,
+        thickness_mm,
+        cutting_un,
+    }
+}
+
 /// The surface gives way when the tip presses harder than its membrane holds, and the dimple goes back.
 #[test]
 fn a_membrane_dimples_until_it_gives_way() {
@@ -62,14 +74,7 @@ fn a_membrane_dimples_until_it_gives_way() {
 fn a_deep_dent_goes_back_over_the_needle() {
     let mut s = Insertion::new(gel([12, 6, 6], 5_000.0, 0, &one), InsertionParams::default()).unwrap();
     let friction = NeedleFriction {
-        membranes: vec![Membrane {
-            name: "capsule".into(),
-            region: None,
-            outside: None,
-            from_mm: 0.0,
-            thickness_mm: 0.5,
-            cutting_un: 1e6,
-        }],
+        membranes: vec![skin("capsule", 0.5, 1e6)],
         cutting_un: 5e4,
         friction_un_per_mm: 1e4,
         ..NeedleFriction::default()
@@ -154,14 +159,7 @@ fn a_deep_dent_springs_back_over_several_steps() {
         let friction = NeedleFriction {
             cutting_un: 2e4,
             friction_un_per_mm: 1e3,
-            membranes: vec![Membrane {
-                name: "skin".into(),
-                region: None,
-                outside: None,
-                from_mm: 0.0,
-                thickness_mm: 1.0,
-                cutting_un: 2e5,
-            }],
+            membranes: vec![skin("skin", 1.0, 2e5)],
             ..NeedleFriction::default()
         };
         s.add_needle(needle(15.7, 16.1, 20.0), friction).unwrap();
@@ -199,14 +197,7 @@ fn a_tough_capsule_pierced_in_haste_turns_no_tissue_over() {
     let mut s = Insertion::new(tissue, InsertionParams::default()).unwrap();
     let friction = NeedleFriction {
         bevel_degrees: 10.0,
-        membranes: vec![Membrane {
-            name: "capsule".into(),
-            region: None,
-            outside: None,
-            from_mm: 0.0,
-            thickness_mm: 0.5,
-            cutting_un: 8e5,
-        }],
+        membranes: vec![skin("capsule", 0.5, 8e5)],
         ..NeedleFriction::default()
     };
     let mouth = DVec3::new(-32.0, 23.2, 21.4);

@@ -226,7 +226,8 @@ impl Simulation {
     pub(super) fn apply_springs(&mut self) {
         let old = std::mem::take(&mut self.springs.applied);
         for s in &old {
-            self.add_spring(s, -1.0);
+            self.stiffen(s, -1.0);
+            self.push(s, -1.0);
         }
         let [beta, gamma] = self.newmark;
         let (dt, most) = (self.dt, self.settings.contact_push_mm);
@@ -261,12 +262,14 @@ impl Simulation {
             });
         }
         for s in &applied {
-            self.add_spring(s, 1.0);
+            self.stiffen(s, 1.0);
+            self.push(s, 1.0);
         }
         self.springs.applied = applied;
     }
 
-    fn add_spring(&mut self, s: &SpringState, sign: f64) {
+    /// A spring's part of the matrix, added or taken away.
+    fn stiffen(&mut self, s: &SpringState, sign: f64) {
         let p = self.point(&s.spring);
         let n = s.normal;
         let across = square(n) * (sign * s.coefficient);
@@ -278,19 +281,24 @@ impl Simulation {
                     row.blocks[at] += across * (p.weights[i] * p.weights[j]);
                 }
             }
-            self.rhs[node] += n * (sign * s.push * p.weights[i]);
             self.elements.soil(node);
+        }
+    }
+
+    /// A spring's part of the right-hand side, added or taken away.
+    fn push(&mut self, s: &SpringState, sign: f64) {
+        let p = self.point(&s.spring);
+        for k in 0..3 {
+            self.rhs[p.nodes[k] as usize] += s.normal * (sign * s.push * p.weights[k]);
         }
     }
 
     /// Newton iterations renew the matrix: the springs' part of it again, without the right-hand side.
     pub(super) fn stiffen_by_springs(&mut self) {
         let applied = std::mem::take(&mut self.springs.applied);
-        let rhs = self.rhs.clone();
         for s in &applied {
-            self.add_spring(s, 1.0);
+            self.stiffen(s, 1.0);
         }
-        self.rhs = rhs;
         self.springs.applied = applied;
     }
 

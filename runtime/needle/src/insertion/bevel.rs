@@ -193,11 +193,11 @@ impl Insertion {
         };
         let rest = mesh.rest();
         let (entry, tip) = (rest[entry as usize], rest[tip as usize]);
-        let mut course = match &n.course {
-            Some(course) => course.clone(),
+        let mut course = match self.needles[k].course.take() {
+            Some(course) => course,
             None => {
                 let mean = self.mean(entry, foundation.length, slot);
-                let tangent = n.rod.tip_frame().tangent;
+                let tangent = self.needles[k].rod.tip_frame().tangent;
                 let axis = mean.map_or(tangent, |m| m.0.gradient.inverse() * tangent);
                 Course::new(entry, axis.try_normalize().unwrap_or(tangent))
             }
